@@ -103,7 +103,7 @@ def test_theta_goes_home_if_the_guard_itself_is_killed(fast_rig, koop, nodes_of,
     with Client("looks") as client:
         wait(lambda: client.spin(0.1) or identify_publishers(client, topic), "the rig")
         first = identify_publishers(client, topic)
-        wait(lambda: find_theta(note, SLOW, first) == (SLOW.theta_safe, ""), "the note")
+        wait(lambda: find_theta(note, SLOW, first) == ((SLOW.theta_safe,), ""), "the note")
         again = FastRig()
         try:
             wait(
@@ -113,7 +113,7 @@ def test_theta_goes_home_if_the_guard_itself_is_killed(fast_rig, koop, nodes_of,
             theta, words = find_theta(note, SLOW, identify_publishers(client, topic) - first)
         finally:
             again.close()
-    assert theta == SLOW.theta_start
+    assert theta == (SLOW.theta_start,)
     assert "was restarted since theta was left at 1" in words
 
 
@@ -165,7 +165,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     wait(lambda: (bag / "metadata.yaml").exists(), "the bag to be closed")
     whole(bag)
     assert_walked(fast_rig.moved, RIG)
-    assert find_theta(note_of(rig_yaml), RIG, ()) == (RIG.theta_safe, "")
+    assert find_theta(note_of(rig_yaml), RIG, ()) == ((RIG.theta_safe,), "")
     # the third would know all that the two had recorded
     state = progress.load(RIG, tmp_path / "run")
     theta = [hold.theta for hold in state.holds]

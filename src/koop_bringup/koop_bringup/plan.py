@@ -280,8 +280,13 @@ def _check(
     if len(set(steps.values())) > 1:
         listed = ", ".join(f"{name} {dt:g}" for name, dt in steps.items())
         raise ConfigError(f"dt differs: {listed} s")
-    if "koop_guard" in configs and configs["relay_esc"][EscConfig].count > 1:
-        raise ConfigError("relay_esc has several knobs, and koop_guard keeps one only")
+    if "koop_guard" in configs:
+        esc, guard = configs["relay_esc"][EscConfig], configs["koop_guard"][GuardConfig]
+        if esc.count != guard.count:
+            raise ConfigError(
+                f"knobs differ: the command of koop_guard {guard.count}, relay_esc {esc.count}: "
+                "theta_initial and the like are lists with one number for each"
+            )
     lifter = configs["koopman_lifter"]
     load_for(lifter[LifterConfig], lifter[ModelConfig])
     if "recorder" in configs:

@@ -101,8 +101,13 @@ def test_a_guard_alone_commands_the_rig(mine, command, remaps):
     guard = "koop_guard: {ros__parameters: {command: '/rig/theta:data'}}\n"
     with pytest.raises(ConfigError, match="dt differs"):
         plan(mine(guard.replace("'}}", "', dt: 0.1}}")))
-    with pytest.raises(ConfigError, match="has several knobs, and koop_guard keeps one only"):
-        plan(mine(guard + "relay_esc: {ros__parameters: {theta_initial: [1.0, 2.0]}}"))
+    two = "relay_esc: {ros__parameters: {theta_initial: [1.0, 2.0]}}"
+    with pytest.raises(ConfigError, match="knobs differ: the command of koop_guard 1, relay_esc 2"):
+        plan(mine(guard + two))
+    planned = plan(
+        mine(guard.replace(":data", ":a,b").replace("'}}", "', theta_rate: [1.0, 0.5]}}") + two)
+    )
+    assert return_time(planned.parameters) == 20.0  # of the slower one
 
 
 def test_a_rig_takes_the_place_of_the_plant(mine):

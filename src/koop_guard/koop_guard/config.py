@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from koop_core.config.constraint import Constraint, parse_constraint
-from koop_core.config.fields import Source, parse_source
+from koop_core.config.fields import Source, parse_source, parse_sources
+from koop_core.config.knobs import MOST, KnobSettings
 from koop_core.config.parameter import ConfigError, NodeConfig, Settings, judged, parameter
 
 THETA, ASKED = "theta", "theta_asked"
 
 
 @dataclass(frozen=True)
-class RigLimits(Settings):
+class RigLimits(KnobSettings):
     """The rig: what is measured of it, what takes theta, and its limits.
+
+    It has a knob for each field of the command.
 
     Raises
     ------
@@ -31,22 +35,28 @@ class RigLimits(Settings):
         "",
         "what takes theta, as topic:field, such as /rig/theta:data; the message type is the one "
         "that the rig subscribes to, and a koop_msgs/msg/ControlInput answers each state by its "
-        "step",
+        "step; several knobs are /rig/gains:kp,kd or /rig/kp:data,/rig/kd:data",
         read_only=True,
     )
     dt: float = parameter(
         0.005, "time between two messages of the measured channels", unit="s", low=1e-6, high=1.0,
         read_only=True,
     )  # fmt: skip
-    theta_min: float = parameter(-5.0, "least theta that may be commanded", read_only=True)
-    theta_max: float = parameter(5.0, "largest theta that may be commanded", read_only=True)
+    theta_min: float = parameter(
+        -5.0, "least theta that may be commanded", read_only=True, per_knob=True
+    )
+    theta_max: float = parameter(
+        5.0, "largest theta that may be commanded", read_only=True, per_knob=True
+    )
     theta_rate: float = parameter(
         1.0, "largest change of theta per second of the rig's time, also while it returns",
-        unit="1/s", low=1e-12, read_only=True,
+        unit="1/s", low=1e-12, read_only=True, per_knob=True,
     )  # fmt: skip
-    theta_start: float = parameter(0.0, "theta of the rig before any command", read_only=True)
+    theta_start: float = parameter(
+        0.0, "theta of the rig before any command", read_only=True, per_knob=True
+    )
     theta_safe: float = parameter(
-        0.0, "theta to which every command and every trip returns", read_only=True
+        0.0, "theta to which every command and every trip returns", read_only=True, per_knob=True
     )
     channel_min: tuple[float, ...] = parameter(
         (), "least value of each channel, below which theta returns to theta_safe; []: any",
@@ -80,22 +90,14 @@ class RigLimits(Settings):
         super().__post_init__()
         if not self.command:
             raise ConfigError("command is missing: what takes theta, as /rig/theta:data")
-        measured, command = (self._parse(name) for name in ("measured", "command"))
-        if len(command.fields) != 1:
-            raise ConfigError(f"command = {self.command!r}: theta is one field")
-        if measured.topic.lstrip("~/") == command.topic.lstrip("~/"):
+        for name, parse in (("measured", parse_source), ("command", parse_sources)):
+            try:
+                parse(getattr(self, name))
+            except ConfigError as error:
+                raise ConfigError(f"{name}: {error}") from None
+        if self.source.topic.lstrip("~/") in (c.topic.lstrip("~/") for c in self.commands):
             raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
-        if self.theta_min >= self.theta_max:
-            raise ConfigError(
-                f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}: "
-                "are they swapped?"
-            )
-        for name in ("theta_start", "theta_safe"):
-            if not self.theta_min <= (value := getattr(self, name)) <= self.theta_max:
-                raise ConfigError(
-                    f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
-                    f"[{self.theta_min:g}, {self.theta_max:g}]"
-                )
+        self._check_knobs()
         self.check_counts("channel_min", "channel_max")
         parse_constraint(self.constraint)
         for low, high in zip(self.channel_min, self.channel_max, strict=False):
@@ -104,11 +106,28 @@ class RigLimits(Settings):
                     f"channel_min = {low:g} must be below channel_max = {high:g}: are they swapped?"
                 )
 
-    def _parse(self, name: str) -> Source:
-        try:
-            return parse_source(getattr(self, name))
-        except ConfigError as error:
-            raise ConfigError(f"{name}: {error}") from None
+    def _check_knobs(self) -> None:
+        if self.count > MOST:
+            raise ConfigError(f"command = {self.command!r}: names more than {MOST} knobs")
+        for name, value in self._of_knobs().items():
+            if isinstance(value, tuple) and len(value) != self.count:
+                raise ConfigError(
+                    f"{name} has {len(value)} values: the command has {self.count} field"
+                    + "s" * (self.count > 1)
+                )
+        limits = zip(self.knob_names, self.each("theta_min"), self.each("theta_max"), strict=True)
+        for i, (knob, low, high) in enumerate(limits):
+            of = f" of {knob}" * (self.count > 1)
+            if low >= high:
+                raise ConfigError(
+                    f"theta_min = {low:g}{of} must be below theta_max = {high:g}: are they swapped?"
+                )
+            for name in ("theta_start", "theta_safe"):
+                if not low <= (value := self.each(name)[i]) <= high:
+                    raise ConfigError(
+                        f"{name} = {value:g}{of}: must lie within [theta_min, theta_max] = "
+                        f"[{low:g}, {high:g}]"
+                    )
 
     def check_counts(self, *names: str) -> None:
         """Raise ConfigError unless each of the named values has one number a channel, or none."""
@@ -121,6 +140,26 @@ class RigLimits(Settings):
     def source(self) -> Source:
         """Topic and fields of the measured channels."""
         return parse_source(self.measured)
+
+    @property
+    def commands(self) -> tuple[Source, ...]:
+        """Topics and fields of the command."""
+        return parse_sources(self.command)
+
+    @property
+    def count(self) -> int:
+        """Number of knobs."""
+        return sum(len(source.fields) for source in self.commands)
+
+    @property
+    def knob_names(self) -> tuple[str, ...]:
+        """Names of the knobs: of one theta, of several what tells their fields apart."""
+        knobs = [(source.topic, name) for source in self.commands for name in source.names]
+        topics = tuple(topic.rpartition("/")[2] for topic, _ in knobs)
+        for names in (topics, tuple(name for _, name in knobs)):
+            if len(set(names)) == len(knobs) > 1:
+                return names
+        return tuple(f"{topic}:{name}" for topic, name in knobs) if len(knobs) > 1 else ("theta",)
 
     @property
     def bounded(self) -> Constraint | None:
@@ -159,7 +198,8 @@ class GuardConfig(RigLimits):
     @property
     def asked(self) -> str:
         """Topic of the controller: ``theta``, or another where the rig itself listens to that."""
-        return ASKED if parse_source(self.command).topic.lstrip("/") == THETA else THETA
+        taken = THETA in (source.topic.lstrip("/") for source in self.commands)
+        return ASKED if taken else THETA
 
     @property
     def period(self) -> float:
@@ -169,11 +209,15 @@ class GuardConfig(RigLimits):
     @property
     def longest_return(self) -> float:
         """Time that theta needs from one limit to the other by the clock on the wall [s]."""
-        return (self.theta_max - self.theta_min) / self.theta_rate / self.pace
+        return self._time_between(self.each("theta_min"), self.each("theta_max"))
 
-    def return_time(self, theta: float) -> float:
+    def return_time(self, theta: Sequence[float]) -> float:
         """Return how long theta takes to return to theta_safe [s], by the clock on the wall."""
-        return abs(theta - self.theta_safe) / self.theta_rate / self.pace
+        return self._time_between(theta, self.each("theta_safe"))
+
+    def _time_between(self, a: Sequence[float], b: Sequence[float]) -> float:
+        knobs = zip(a, b, self.each("theta_rate"), strict=True)
+        return max(abs(y - x) / rate for x, y, rate in knobs) / self.pace
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 Times are of the steady clock [s] and arguments. Whatever comes in, theta stays within its limits
 and moves by no more than its rate allows in the time since it last moved; of a time longer than
-``late`` no more than that counts, so that it never jumps.
+``late`` no more than that counts, so that it never jumps. Theta has a value for each knob. Several
+move in a straight line, the one that needs longest at its rate: as fast as each alone would be
+there, and what is allowed at both ends of a line is so on it, also where knobs bound each other.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
+from koop_core.config.knobs import format_knobs
 from koop_guard.config import SAFETY, GuardConfig, SafetySettings
 
 ROUNDED = 1e-9  # share of a step by which rounding takes a controller beyond the rate
@@ -62,8 +65,8 @@ class Trip:
         The same in words, with values.
     when : float
         Steady time [s].
-    theta : float
-        Commanded then.
+    theta : tuple of float
+        Commanded then, a value for each knob.
     x : tuple of float
         Measured channels then; empty before the first.
     """
@@ -71,7 +74,7 @@ class Trip:
     cause: Cause
     reason: str
     when: float
-    theta: float
+    theta: tuple[float, ...]
     x: tuple[float, ...]
 
 
@@ -153,14 +156,14 @@ class Guard:
     ----------
     config : GuardConfig
         Limits and times.
-    theta : float
-        Value that theta has now.
+    theta : sequence of float
+        Values that theta has now.
     settings : SafetySettings
         Times of the guard itself.
 
     Attributes
     ----------
-    theta, target : float
+    theta, target : tuple of float
         Commanded now, and where it moves to.
     status : Status
         Waiting, following or tripped.
@@ -171,11 +174,13 @@ class Guard:
     """
 
     def __init__(
-        self, config: GuardConfig, theta: float, settings: SafetySettings = SAFETY
+        self, config: GuardConfig, theta: Sequence[float], settings: SafetySettings = SAFETY
     ) -> None:
         self._config, self._settings = config, settings
         self._silence = settings.silence(config.period)
         self._late = max(settings.late_periods * config.period, 2.0 * settings.tick)
+        self._limits = tuple(zip(config.each("theta_min"), config.each("theta_max"), strict=True))
+        self._rates = [rate * config.pace for rate in config.each("theta_rate")]
         self.theta = self.target = self._limit(theta)
         self.status, self.rearmed = Status.WAITING, 0
         self.trip: Trip | None = None
@@ -184,6 +189,7 @@ class Guard:
         self._moved = math.inf
         self._arrived = self._answered = self._old = -math.inf
         self._saturated = self._calm = math.inf
+        self._saturated_at = self.theta
         bounded = config.bounded
         window = bounded.window / config.pace if bounded else math.inf
         self._broken = max(settings.broken * window, self._silence)
@@ -222,25 +228,29 @@ class Guard:
                 text = f"{name} = {value:.6g} has not changed for {meter.run} samples"
                 self.note(Cause.STUCK, text, now)
 
-    def hear_answer(self, theta: float, saturated: bool, now: float, old: bool = False) -> None:
+    def hear_answer(
+        self, theta: Sequence[float], saturated: bool, now: float, old: bool = False
+    ) -> None:
         """Take what the controller asks for; ``old``: it answers what is long past."""
         if old:
             self._old = now
             return
-        if not math.isfinite(theta):
+        if not self._is_usable(theta):
             return
         self._answered = now
         if self.status is Status.TRIPPED:
             return
         self.status = Status.FOLLOWING
         self.target = self._limit(theta)
-        self._saturated = min(self._saturated, now) if saturated else math.inf
+        if not (saturated and self._saturated < math.inf):
+            self._saturated, self._saturated_at = now if saturated else math.inf, tuple(theta)
         limit = self._config.at_limit / self._config.pace
         if 0.0 < limit < now - self._saturated:
-            self.note(
-                Cause.AT_LIMIT, f"the controller is at theta = {theta:g}, its limit, for "
-                f"{now - self._saturated:.0f} s", now,
-            )  # fmt: skip
+            knobs = list(zip(self._config.knob_names, theta, self._saturated_at, strict=True))
+            resting = [knob for knob in knobs if knob[1] == knob[2]] or knobs
+            where = " and ".join(f"{name} = {value:g}" for name, value, _ in resting)
+            text = f"the controller is at {where}, its limit, for {now - self._saturated:.0f} s"
+            self.note(Cause.AT_LIMIT, text, now)
 
     def hear_margin(self, margin: float, now: float) -> None:
         """Take the margin of the constraint; NaN: it is not known.
@@ -279,7 +289,7 @@ class Guard:
     def latch(self, trip: Trip) -> None:
         """Be tripped from now on, also by what tripped a guard before this one."""
         self.trip = trip
-        self.status, self.target = Status.TRIPPED, self._config.theta_safe
+        self.status, self.target = Status.TRIPPED, self._config.each("theta_safe")
         self._saturated = math.inf
 
     def refusal(self, now: float) -> str:
@@ -288,7 +298,8 @@ class Guard:
             return "the guard has not tripped"
         if lasting := self._lasting(now):
             return next(iter(lasting.values()))
-        return "" if self.at_safe else f"theta = {self.theta:.4g} still returns to theta_safe"
+        where = format_knobs(self.theta, ".4g")
+        return "" if self.at_safe else f"theta = {where} still returns to theta_safe"
 
     def rearm(self, now: float, by_hand: bool) -> None:
         """Let the controller command again, which begins at theta_safe."""
@@ -300,9 +311,9 @@ class Guard:
         if self.status is not Status.TRIPPED:
             self.status, self._answered = Status.FOLLOWING, first
 
-    def go(self, theta: float) -> None:
+    def go(self, theta: Sequence[float]) -> None:
         """Move to a theta, unless tripped; no controller is expected to answer."""
-        if self.status is not Status.TRIPPED and math.isfinite(theta):
+        if self.status is not Status.TRIPPED and self._is_usable(theta):
             self.status, self._answered = Status.FOLLOWING, -math.inf
             self.target = self._limit(theta)
 
@@ -314,22 +325,33 @@ class Guard:
         pause = self._settings.rearm_pause * 2.0**self.rearmed
         return self.rearmed < config.rearms and now - self._calm > pause
 
-    def advance(self, now: float) -> float:
+    def advance(self, now: float) -> tuple[float, ...]:
         """Move theta on to its target, as far as the rate allows, and return it."""
         elapsed, self._moved = now - self._moved, now
         return self.move(elapsed)
 
-    def move(self, elapsed: float) -> float:
+    def move(self, elapsed: float) -> tuple[float, ...]:
         """Move theta on by a time [s], of which no more than ``late`` counts, and return it."""
         counted = min(max(elapsed, 0.0), self._late)
-        most = self._config.theta_rate * self._config.pace * counted
-        change = self.target - self.theta
-        near = abs(change) <= most * (1.0 + ROUNDED)
-        self.theta = self.target if near else self.theta + math.copysign(most, change)
+        most = [rate * counted for rate in self._rates]
+        changes = [b - a for a, b in zip(self.theta, self.target, strict=True)]
+        if all(abs(c) <= m * (1.0 + ROUNDED) for c, m in zip(changes, most, strict=True)):
+            self.theta = self.target
+        elif counted > 0.0:
+            times = [abs(c) / m for c, m in zip(changes, most, strict=True)]
+            longest = max(times)
+            self.theta = tuple(
+                theta + math.copysign(m * (time / longest), c)
+                for theta, c, m, time in zip(self.theta, changes, most, times, strict=True)
+            )
         return self.theta
 
-    def _limit(self, theta: float) -> float:
-        return min(max(theta, self._config.theta_min), self._config.theta_max)
+    def _is_usable(self, theta: Sequence[float]) -> bool:
+        return len(theta) == len(self.theta) and all(map(math.isfinite, theta))
+
+    def _limit(self, theta: Sequence[float]) -> tuple[float, ...]:
+        knobs = zip(theta, self._limits, strict=True)
+        return tuple(min(max(value, low), high) for value, (low, high) in knobs)
 
     def _lasting(self, now: float) -> dict[Cause, str]:
         """Return the causes that were there a moment ago."""

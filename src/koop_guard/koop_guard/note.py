@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from koop_core.config.knobs import format_knobs
 from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -25,12 +26,7 @@ class Rig(Protocol):
 
     @property
     def command(self) -> str: ...
-    @property
-    def theta_min(self) -> float: ...
-    @property
-    def theta_max(self) -> float: ...
-    @property
-    def theta_start(self) -> float: ...
+    def each(self, name: str) -> tuple[float, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -39,8 +35,8 @@ class Note:
 
     Attributes
     ----------
-    theta : float
-        Commanded last.
+    theta : tuple of float
+        Commanded last, a value for each knob.
     command : str
         What takes it, as topic:field.
     publishers : tuple of str
@@ -51,7 +47,7 @@ class Note:
         Automatic rearms since the last one by hand.
     """
 
-    theta: float
+    theta: tuple[float, ...]
     command: str
     publishers: tuple[str, ...]
     trip: Trip | None
@@ -89,8 +85,10 @@ def read(path: Path | str | None) -> Note | None:
         ) from None
 
 
-def find_theta(path: Path | str | None, rig: Rig, publishers: Collection[str]) -> tuple[float, str]:
-    """Return the present value of theta, and a remark on it, if there is any.
+def find_theta(
+    path: Path | str | None, rig: Rig, publishers: Collection[str]
+) -> tuple[tuple[float, ...], str]:
+    """Return the present value of theta of each knob, and a remark on it, if there is any.
 
     It is the value at which the last command left it; ``theta_start`` if the rig was started again
     since, or no command has moved it.
@@ -104,15 +102,19 @@ def find_theta(path: Path | str | None, rig: Rig, publishers: Collection[str]) -
     publishers : collection of str
         Ids of the rig's publishers now.
     """
-    note, remark = read(path), ""
+    note, remark, begin = read(path), "", rig.each("theta_start")
     if note is not None:
         if note.command != rig.command:
             remark = f"{path} is of {note.command}"
         elif note.publishers and publishers and not set(note.publishers) & set(publishers):
-            remark = f"the rig was restarted since theta was left at {note.theta:g}"
-        elif rig.theta_min <= note.theta <= rig.theta_max:
-            return note.theta, ""
-    return rig.theta_start, remark and f"{remark}: assuming theta_start = {rig.theta_start:g}"
+            remark = f"the rig was restarted since theta was left at {format_knobs(note.theta)}"
+        elif len(note.theta) != len(begin):
+            remark = f"{path} is of {len(note.theta)} knobs"
+        else:
+            limits = zip(rig.each("theta_min"), note.theta, rig.each("theta_max"), strict=True)
+            if all(low <= theta <= high for low, theta, high in limits):
+                return note.theta, ""
+    return begin, remark and f"{remark}: assuming theta_start = {format_knobs(begin)}"
 
 
 class Keeper:

@@ -19,6 +19,10 @@ CONFIG = GuardConfig(
     theta_rate=4.0, theta_start=1.5, theta_safe=0.5, channel_min=(-3.0, -9.0),
     channel_max=(3.0, 9.0),
 )  # fmt: skip
+CONFIG_2 = replace(
+    CONFIG, command="/rig/gains:kp,kd", theta_min=(-1.0, 0.0), theta_max=(2.0, 0.1),
+    theta_rate=(4.0, 0.01), theta_start=(1.5, 0.1), theta_safe=(0.5, 0.02),
+)  # fmt: skip
 CONFIG_1 = GuardConfig(measured="/rig:x", command="/rig/theta:data", dt=DT)
 SILENCE = SAFETY.silence(DT)
 CALM = SAFETY.calm
@@ -28,7 +32,7 @@ class Loop:
     """A guard with its clock, a rig and a controller; each may fail."""
 
     def __init__(self, config=CONFIG, theta=1.5):
-        self.guard, self.now, self.k = Guard(config, theta), 100.0, 0
+        self.guard, self.now, self.k = Guard(config, [theta]), 100.0, 0
         self.thetas = [theta]
 
     def run(self, seconds, x=lambda k: math.sin(0.3 * k), asked=1.0, saturated=False, old=False):
@@ -39,9 +43,9 @@ class Loop:
             if x is not None:
                 self.guard.hear_state((x(self.k), math.cos(0.3 * self.k)), self.now)
             if asked is not None and x is not None:
-                self.guard.hear_answer(asked, saturated, self.now, old)
+                self.guard.hear_answer([asked], saturated, self.now, old)
             self.guard.hear_time(self.now)
-            self.thetas.append(self.guard.advance(self.now))
+            self.thetas += self.guard.advance(self.now)
         return self.guard
 
 
@@ -54,46 +58,50 @@ EVENT = st.tuples(
 )  # fmt: skip
 
 
+@pytest.mark.parametrize("config", [CONFIG, CONFIG_2])
 @settings(deadline=None, max_examples=300)
-@given(st.floats(-1.0, 2.0), st.lists(EVENT, max_size=60))
-def test_theta_keeps_its_limits_and_its_rate_whatever_comes_in(theta, events):
-    guard, now, last = Guard(CONFIG, theta), 10.0, theta
-    moved = math.inf
+@given(share=st.floats(0.0, 1.0), events=st.lists(EVENT, max_size=60))
+def test_theta_keeps_its_limits_and_its_rate_whatever_comes_in(config, share, events):
+    low, high, rate = (np.array(config.each(f"theta_{name}")) for name in ("min", "max", "rate"))
+    last = low + share * (high - low)
+    guard, now, moved = Guard(config, last.tolist()), 10.0, math.inf
     for what, a, b, wait in events:
         now += wait
         if what == "state":
             guard.hear_state((a, b), now)
         elif what in ("answer", "old"):
-            guard.hear_answer(a, b > 0.0, now, what == "old")
+            guard.hear_answer((a, 0.1 * b)[: config.count], b > 0.0, now, what == "old")
         elif what == "tick":
             guard.hear_time(now)
         elif what == "trip":
             guard.note(Cause.ASKED, "x", now)
         elif not guard.refusal(now):
             guard.rearm(now, True)
-        new = guard.advance(now)
-        assert CONFIG.theta_min <= new <= CONFIG.theta_max
+        new = np.array(guard.advance(now))
+        assert np.all((low <= new) & (new <= high))
         # 1e-15: a sum of two doubles of this size is rounded by that much
-        assert abs(new - last) <= CONFIG.theta_rate * max(now - moved, 0.0) * (1 + 1e-9) + 1e-15
-        assert abs(new - last) <= CONFIG.theta_rate * 2.0 * SAFETY.tick * (1 + 1e-9) + 1e-15
+        most = rate * min(max(now - moved, 0.0), 2.0 * SAFETY.tick) * (1 + 1e-9) + 1e-15
+        assert np.all(np.abs(new - last) <= most)
+        way, left = new - last, np.array(guard.target) - last
+        assert np.ptp(way * left[::-1]) <= 1e-14  # in a straight line
         last, moved = new, now
 
 
 @given(st.lists(EVENT, max_size=60))
 def test_only_a_rearm_lets_the_controller_command_again(events):
-    guard, now = Guard(CONFIG, 1.5), 10.0
+    guard, now = Guard(CONFIG, [1.5]), 10.0
     guard.note(Cause.ASKED, "x", now)
     for what, a, b, wait in events:
         now += wait
         if what == "state":
             guard.hear_state((a, b), now)
         elif what in ("answer", "old"):
-            guard.hear_answer(a, b > 0.0, now, what == "old")
+            guard.hear_answer([a], b > 0.0, now, what == "old")
         guard.hear_time(now)
         guard.advance(now)
         assert guard.status is Status.TRIPPED
         assert guard.trip.cause is Cause.ASKED  # the first cause stays
-        assert guard.target == CONFIG.theta_safe
+        assert guard.target == (CONFIG.theta_safe,)
 
 
 @pytest.mark.parametrize(
@@ -117,12 +125,12 @@ def test_what_fails_trips_the_guard_in_time_and_theta_returns(fault, seconds, ca
     guard = loop.run(seconds + 0.05, **fault)
     assert (guard.status, guard.trip.cause) == (Status.TRIPPED, cause)
     assert reason in guard.trip.reason
-    assert guard.trip.theta == 1.0
+    assert guard.trip.theta == (1.0,)
     # in time: not before it can be known, and no more than two samples after
     assert seconds - 1e-9 <= guard.trip.when - before + DT <= seconds + 3 * DT
     loop.run(0.5 / CONFIG.theta_rate + 2 * DT, **fault)
     assert guard.at_safe
-    assert guard.theta == CONFIG.theta_safe
+    assert guard.theta == (CONFIG.theta_safe,)
     assert max(abs(b - a) for a, b in pairwise(loop.thetas)) <= CONFIG.theta_rate * DT * (1 + 1e-6)
 
 
@@ -134,7 +142,7 @@ def test_nothing_is_commanded_before_the_controller_answers_and_short_gaps_do_no
     for fault in ({"x": None}, {"asked": None}, {"old": True}):
         loop.run(0.9 * SILENCE, **fault)
         assert loop.run(0.5).status is Status.FOLLOWING
-        assert loop.guard.theta == 1.0
+        assert loop.guard.theta == (1.0,)
 
 
 def test_a_controller_at_its_limit_is_allowed_for_a_time():
@@ -144,6 +152,29 @@ def test_a_controller_at_its_limit_is_allowed_for_a_time():
     loop.run(0.1)
     assert loop.run(2.9, saturated=True).status is Status.FOLLOWING
     assert loop.run(0.2, saturated=True).trip.cause is Cause.AT_LIMIT
+
+
+@pytest.mark.parametrize(
+    ("command", "names"),
+    [
+        ("/r/gains:kp,kd", ("kp", "kd")),
+        ("/a/t:kp,/b/t:kd", ("kp", "kd")),
+        ("/r/kp:data, /r/kd:data", ("kp", "kd")),
+        ("/a/t:data,/b/t:data", ("/a/t:data", "/b/t:data")),
+    ],
+)
+def test_the_knob_at_its_limit_is_named(command, names):
+    guard = Guard(replace(CONFIG_2, command=command, at_limit=3.0), (1.0, 0.1))
+    for k in range(700):
+        guard.hear_answer((1.0 + 1e-4 * k, 0.1), True, k * DT)
+        guard.advance(k * DT)
+    assert guard.trip.reason == f"the controller is at {names[1]} = 0.1, its limit, for 3 s"
+    assert guard.trip.theta == pytest.approx((1.06, 0.1), abs=1e-3)
+    for k in range(700, 4000):
+        guard.advance(k * DT)
+        # both arrive together: the slower one needs 8 s
+        assert guard.at_safe is (guard.theta[0] == 0.5) is (guard.theta[1] == 0.02)
+    assert guard.at_safe
 
 
 def test_a_constraint_may_be_broken_for_three_windows():
@@ -185,7 +216,7 @@ def test_a_rearm_is_refused_while_the_cause_lasts_and_theta_goes_on_from_theta_s
     guard.rearm(loop.now, True)
     assert guard.refusal(loop.now) == "the guard has not tripped"
     loop.thetas.clear()
-    assert loop.run(2.0).theta == 1.0
+    assert loop.run(2.0).theta == (1.0,)
     assert abs(loop.thetas[0] - CONFIG.theta_safe) <= CONFIG.theta_rate * DT * (1 + 1e-6)
 
 
@@ -240,7 +271,7 @@ def test_how_long_a_channel_may_repeat_follows_from_how_often_it_does():
 
 def trips(values):
     """Return whether a channel of a rig with these values, in steps, is found stuck."""
-    guard = Guard(CONFIG_1, 0.0)
+    guard = Guard(CONFIG_1, [0.0])
     for k, value in enumerate(np.round(values).tolist()):
         guard.hear_state((value,), k * DT)
         if guard.reason:
@@ -291,7 +322,11 @@ def test_a_channel_is_stuck_if_neither_chance_nor_rest_explains_that_it_is_still
     ("values", "reason"),
     [
         ({"command": ""}, "command is missing"),
-        ({"command": "/r/t:a,b"}, "theta is one field"),
+        ({"command": "/r/t:a,/rig:z"}, "is the topic of the measured channels"),
+        ({"command": "/r/t:a,/r/t:b"}, "names a topic twice"),
+        ({"command": "/r/t:" + ",".join("abcdefghi")}, "names more than 8 knobs"),
+        ({"theta_safe": (0.5, 0.5)}, "theta_safe has 2 values: the command has 1 field$"),
+        ({"command": "/r/t:a,b", "theta_max": (2.0, 1.2)}, "theta_start = 1.5 of b: must lie"),
         ({"command": "/rig:z"}, "is the topic of the measured channels"),
         ({"theta_min": 3.0}, "must be below theta_max"),
         ({"theta_safe": 5.0}, "theta_safe = 5: must lie within"),
@@ -306,14 +341,14 @@ def test_what_contradicts_itself_is_refused(values, reason):
 
 
 def test_a_theta_that_is_sent_by_hand_waits_for_no_controller():
-    guard, now = Guard(CONFIG, 1.5), 10.0
-    guard.go(9.0)
+    guard, now = Guard(CONFIG, [1.5]), 10.0
+    guard.go([9.0])
     for _ in range(1000):
         now += DT
         guard.hear_state((math.sin(now), math.cos(now)), now)
         guard.hear_time(now)
         guard.move(DT)
-    assert (guard.theta, guard.arrived, guard.reason) == (CONFIG.theta_max, True, "")
+    assert (guard.theta, guard.arrived, guard.reason) == ((CONFIG.theta_max,), True, "")
     guard.follow(now + 1.0)  # a controller has a second to begin, then its silence counts
     for _ in range(round((1.0 + SILENCE) / DT) + 1):
         assert guard.reason == ""
@@ -321,17 +356,19 @@ def test_a_theta_that_is_sent_by_hand_waits_for_no_controller():
         guard.hear_state((math.sin(now), math.cos(now)), now)
         guard.hear_time(now)
     assert guard.trip.cause is Cause.SILENT
-    guard.go(0.0)
-    assert guard.target == CONFIG.theta_safe
+    guard.go([0.0])
+    assert guard.target == (CONFIG.theta_safe,)
 
 
 def test_times_follow_the_pace_of_the_rig():
     fast = replace(CONFIG, pace=4.0, dt=0.5)
-    assert CONFIG.return_time(2.0) == pytest.approx(1.5 / 4.0)
-    assert fast.return_time(2.0) == pytest.approx(1.5 / 16.0)
+    assert CONFIG.return_time([2.0]) == pytest.approx(1.5 / 4.0)
+    assert fast.return_time([2.0]) == pytest.approx(1.5 / 16.0)
     assert SAFETY.silence(CONFIG.period) == 1.0  # a busy machine needs that
     assert SAFETY.silence(fast.period) == pytest.approx(2.5)
-    guard = Guard(replace(fast, dt=0.1), 2.0)
-    guard.go(-1.0)
-    assert guard.move(0.01) == pytest.approx(2.0 - 0.16)
-    assert guard.move(1e9) == pytest.approx(2.0 - 0.16 - 16.0 * 0.05)  # two periods, however late
+    guard = Guard(replace(fast, dt=0.1), [2.0])
+    guard.go([-1.0])
+    assert guard.move(0.01) == pytest.approx((2.0 - 0.16,))
+    assert guard.move(1e9) == pytest.approx(
+        (2.0 - 0.16 - 16.0 * 0.05,)
+    )  # two periods, however late

@@ -16,24 +16,24 @@ RIG = GuardConfig(
     measured="/a:x,y", command="/b:z", theta_min=-1.0, theta_max=3.0, theta_start=2.0,
     theta_safe=0.5,
 )  # fmt: skip
-LEFT = Note(0.75, "/b:z", ("a", "b"), None, 0)
-TRIP = Trip(Cause.NOT_FINITE, "x on /a is not a finite number", 1e9, 0.7, (math.inf, 0.25))
+LEFT = Note((0.75,), "/b:z", ("a", "b"), None, 0)
+TRIP = Trip(Cause.NOT_FINITE, "x on /a is not a finite number", 1e9, (0.7,), (math.inf, 0.25))
 
 
 def test_theta_is_where_it_was_left_unless_the_rig_was_restarted(tmp_path):
     note = tmp_path / "note"
-    assert find_theta(None, RIG, ["a"]) == (RIG.theta_start, "")
-    assert find_theta(note, RIG, ["a"]) == (RIG.theta_start, "")
+    assert find_theta(None, RIG, ["a"]) == ((RIG.theta_start,), "")
+    assert find_theta(note, RIG, ["a"]) == ((RIG.theta_start,), "")
     leave(note, LEFT)
-    assert find_theta(note, RIG, ["b"]) == (0.75, "")
-    assert find_theta(note, RIG, []) == (0.75, "")  # not discovered yet
+    assert find_theta(note, RIG, ["b"]) == ((0.75,), "")
+    assert find_theta(note, RIG, []) == ((0.75,), "")  # not discovered yet
     theta, remark = find_theta(note, RIG, ["c"])
-    assert theta == RIG.theta_start
+    assert theta == (RIG.theta_start,)
     assert "restarted since theta was left at 0.75: assuming theta_start = 2" in remark
-    leave(note, replace(LEFT, theta=9.0))  # beyond the limits
-    assert find_theta(note, RIG, ["a"]) == (RIG.theta_start, "")
+    leave(note, replace(LEFT, theta=(9.0,)))  # beyond the limits
+    assert find_theta(note, RIG, ["a"]) == ((RIG.theta_start,), "")
     theta, remark = find_theta(note, replace(RIG, command="/c:z"), ["a"])
-    assert (theta, remark) == (RIG.theta_start, f"{note} is of /b:z: assuming theta_start = 2")
+    assert (theta, remark) == ((RIG.theta_start,), f"{note} is of /b:z: assuming theta_start = 2")
 
 
 def test_a_trip_is_noted_and_a_damaged_note_is_refused(tmp_path):

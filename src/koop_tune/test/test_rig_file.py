@@ -42,16 +42,21 @@ def test_every_value_has_its_meaning_above_it():
         (
             "theta_min: 0.5",
             "theta_min: 5",
-            r":16: theta_min = 5 must be below theta_max = 1.6: are",
+            r":17: theta_min = 5 must be below theta_max = 1.6: are",
         ),
         ("theta_safe: 0.9", "theta_safe: 9", r"theta_safe = 9: must lie within .* \[0.5, 1.6\]"),
         ("theta_rate: 0.05", "", "'theta_rate' is missing: largest change of theta per second"),
         ("theta_rate:", "theta_rte:", r":\d+: unknown key 'theta_rte': did you mean 'theta_rate'"),
-        ("theta_safe: 0.9", "theta_safe: [0.9, 1]", r":\d+: theta_safe: a rig has one knob"),
+        (
+            "theta_safe: 0.9",
+            "theta_safe: [0.9, 1]",
+            r":\d+: theta_safe has 2 values: the command has",
+        ),
         ("dt: 0.01", "dt: fast", r":\d+: dt: expected float, got 'fast'"),
         ("dt: 0.01", "dt: 0.01\ndt: 0.02", "'dt' stands in line 1"),
         ("data[0],data[1]", "data[0,data[1]", r":\d+: measured: 'data\[0' is not a field"),
         ("/stiffness:data", "/stiffness", r":\d+: command: .* is not a source"),
+        ("/tower/stiffness:data", "/k:a,b", r":\d+: command has 2 knobs: a rig with one can be"),
         ("/tower/stiffness:data", "/tower:data[2]", "command .* is the topic of the measured"),
         (
             "channel_min: [-3.0, -0.001]",

@@ -53,18 +53,18 @@ class GuardedTheta:
     def __init__(self, client: Client, rig: RigFile, command_type: str, theta: float) -> None:
         from koop_msgs.msg import GuardState
         from rclpy.qos import qos_profile_sensor_data
-        from std_msgs.msg import Float64
+        from std_msgs.msg import Float64MultiArray
 
         from koop_guard.node import KEPT
         from koop_node.node.managed import message_type
 
         self._client, self._rig = client, rig
         self._kind, self._command = message_type(command_type), b""
-        self._target, self._before = Float64(data=theta), theta
+        self._target, self._before = Float64MultiArray(data=[theta]), theta
         self._state = GuardState()
         self._said = -math.inf
         node = client.node
-        self._publisher = node.create_publisher(Float64, f"/{GUARD}/target", KEPT)
+        self._publisher = node.create_publisher(Float64MultiArray, f"/{GUARD}/target", KEPT)
         node.create_subscription(GuardState, f"/{GUARD}/state", self._on_state, KEPT)
         node.create_subscription(
             self._kind,
@@ -89,15 +89,15 @@ class GuardedTheta:
     def arrived(self) -> bool:
         """Whether theta is at the target of :meth:`go`."""
         state = self._state
-        return state.status == state.FOLLOWING and list(state.theta) == [self._target.data]
+        return state.status == state.FOLLOWING and state.theta == self._target.data
 
     def go(self, theta: float) -> None:
         """Move theta to a value, within limits and rate."""
-        self._say(min(max(theta, self._rig.theta_min), self._rig.theta_max))
+        self._say([min(max(theta, self._rig.theta_min), self._rig.theta_max)])
 
     def follow(self) -> None:
         """Let the controller, which begins at this theta, move it until :meth:`go`."""
-        self._say(math.nan)
+        self._say([])
 
     def check(self) -> None:
         """Give a sign of life; raise LiveError if the guard returns theta to theta_safe."""
@@ -123,7 +123,7 @@ class GuardedTheta:
             f"theta may not be at theta_safe = {rig.theta_safe:g}",
         )
 
-    def _say(self, target: float) -> None:
+    def _say(self, target: list[float]) -> None:
         self._said, self._target.data = time.monotonic(), target
         self._publisher.publish(self._target)
 

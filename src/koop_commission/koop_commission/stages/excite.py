@@ -239,7 +239,7 @@ class Excitation:
                 f"file {left:.0f} s are left: set time = "
                 f"{round_up(2.0 * (self._elapsed + needed)):g} or more"
             )
-        back = max(map(rig.guard.return_time, (rig.theta_min, rig.theta_max)))
+        back = max(rig.guard.return_time([theta]) for theta in (rig.theta_min, rig.theta_max))
         first = f"between {rig.theta_min:g} and {rig.theta_max:g}, there and back, then "
         print(
             f"theta goes {first * (self._design.left > 0)}to where it tells most about the best "

@@ -80,7 +80,7 @@ class Session:
         )
         if remark:
             print(remark, flush=True)
-        self.theta = GuardedTheta(client, rig, command_type, theta)
+        self.theta = GuardedTheta(client, rig, command_type, *theta)
         self.still = 0
         self.show: Callable[[], object] = lambda: None
         self._phase = "moving theta"

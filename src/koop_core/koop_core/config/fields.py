@@ -5,6 +5,7 @@ looked up only if it is one that a message definition can have, so no method or 
 can be reached.
 
     source = topic ":" field { "," field }        /joint_states:position[0],velocity[0]
+    sources = source { "," source }               /rig/kp:data,/rig/kd:data
     field  = part { "." part }                    twist.linear.x
     part   = name [ "[" index "]" ]               data[3]
 """
@@ -86,6 +87,18 @@ def parse_source(text: str) -> Source:
     if len(set(source.fields)) < len(source.fields):
         raise ConfigError(f"{_short(text)} names a field twice")
     return source
+
+
+def parse_sources(text: str) -> tuple[Source, ...]:
+    """Return the sources of a text, of a topic each, or raise ConfigError.
+
+    >>> [str(source) for source in parse_sources("/rig/gains:kp,kd, /rig/mass:data")]
+    ['/rig/gains:kp,kd', '/rig/mass:data']
+    """
+    sources = tuple(parse_source(part) for part in re.split(r",(?=[^,:]*:)", text))
+    if len({source.topic for source in sources}) < len(sources):
+        raise ConfigError(f"{_short(text)} names a topic twice")
+    return sources
 
 
 def check_topic(text: str) -> str:

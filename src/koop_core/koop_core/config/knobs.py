@@ -41,6 +41,11 @@ class KnobSettings(Settings):
         """Number of knobs."""
         return max(len(v) if isinstance(v, tuple) else 1 for v in self._of_knobs().values())
 
+    def each(self, name: str) -> tuple[float, ...]:
+        """Return a parameter of each knob."""
+        value = getattr(self, name)
+        return value if isinstance(value, tuple) else (value,) * self.count
+
     def knob(self: Configured, i: int, **others: Any) -> Configured:
         """Return the configuration of one knob alone, with ``others`` changed."""
         own = {k: v[i] if isinstance(v, tuple) else v for k, v in self._of_knobs().items()}

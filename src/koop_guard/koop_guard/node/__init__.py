@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
 from koop_msgs.msg import ControlInput, Cost, GuardState, MeasuredState
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from koop_core.config.fields import check_fields, parse_source
+from koop_core.config.fields import check_fields
+from koop_core.config.knobs import format_knobs
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_guard.config import SAFETY, GuardConfig
@@ -38,10 +39,10 @@ class GuardRun(Run):
 
     def __init__(self, node: GuardNode, entities: Entities) -> None:
         config = self._config = node.parameters[GuardConfig]
-        self._node, self._commanded = node, parse_source(config.command)
+        self._node, self._topics = node, [source.topic for source in config.commands]
         self._adapter = StateAdapter(config.source, config.dt)
         self._counts_steps = False
-        self._guard = Guard(config, config.theta_start)
+        self._guard = Guard(config, config.each("theta_start"))
         self._states = StreamMonitor(config.source.topic, 0.0, config.dt, may_end=True)
         self._silence = SAFETY.silence(config.period)
         self._answers = StreamMonitor(config.asked, self._silence, config.dt, newest_counts=True)
@@ -51,7 +52,8 @@ class GuardRun(Run):
         self._moved = 0  # step at which theta moved last
         self._lockstep = False
         self._begun = math.inf  # when the rig could first be commanded [s]
-        self._target, self._target_heard = math.nan, math.inf
+        self._target: tuple[float, ...] = ()
+        self._target_heard = math.inf
         self._to_target = False  # whether theta moves there, not to what the controller asks for
         self._answer: Any = None
         self._answered = -1  # newest step that the guard answered itself
@@ -75,14 +77,15 @@ class GuardRun(Run):
     def activate(self, entities: Entities) -> None:
         config, source = self._config, self._config.source
 
-        def command(name: str) -> None:
-            self._command = Command(
-                entities.publisher, name, self._commanded.topic, self._commanded.fields[0]
-            )
-            kind = name
-            entities.when_typed(publishers_of, source.topic, lambda name: listen(name, kind))
+        def command(*kinds: str) -> None:
+            if len(kinds) < len(self._topics):
+                topic = self._topics[len(kinds)]
+                entities.when_typed(subscribers_of, topic, lambda kind: command(*kinds, kind))
+                return
+            self._command = Command(entities.publisher, config.commands, kinds)
+            entities.when_typed(publishers_of, source.topic, lambda name: listen(name, kinds))
 
-        def listen(name: str, kind: str) -> None:
+        def listen(name: str, kinds: Sequence[str]) -> None:
             state = message_type(name)
             check_fields(source.fields, state())
             self._counts_steps = state is MeasuredState
@@ -97,8 +100,8 @@ class GuardRun(Run):
                 if left.trip is not None:
                     self._latched = replace(left.trip, when=left.trip.when - self._epoch)
             self._keeper = Keeper(config.note, self._note)
-            topic = self._node.resolve_topic_name(self._commanded.topic)
-            self._order = (asdict(config), topic, kind, self._ids)
+            topics = [self._node.resolve_topic_name(topic) for topic in self._topics]
+            self._order = (asdict(config), topics, kinds, self._ids)
             assert self._twin is not None
             self._twin.prepare(*self._order)
             entities.waiting_for = "waiting for its twin"
@@ -116,19 +119,21 @@ class GuardRun(Run):
                 entities.reader(Cost, "cost", self._on_cost, BEST_EFFORT)
             qos = RELIABLE if self._counts_steps else BEST_EFFORT
             entities.dated_subscription(state, source.topic, self._on_state, qos)
-            rig = {self._command.publisher: Listeners(next="any")}
+            rig = {publisher: Listeners(next="any") for publisher in self._command.publishers}
             entities.when_heard(rig, lambda: follow())
 
         def follow() -> None:
             self._begun = time.monotonic()
             entities.dated_subscription(ControlInput, config.asked, self._on_answer, RELIABLE)
-            entities.subscription(Float64, "~/target", lambda m: self._on_target(m, entities), KEPT)
+            entities.subscription(
+                Float64MultiArray, "~/target", lambda m: self._on_target(m, entities), KEPT
+            )
             entities.timer(SAFETY.tick, self._on_tick)
             entities.timer(LOOK, self._look)
             self._look()
 
         self._twin = Twin()  # its start takes the longest
-        entities.when_typed(subscribers_of, self._commanded.topic, command)
+        command()
 
     def may_end(self, number: int) -> bool:
         """Return whether theta is where the end leaves it; SIGTERM says that the loop failed."""
@@ -160,7 +165,7 @@ class GuardRun(Run):
         if self._controller is not None:
             self._node.destroy_client(self._controller)
         self._twin = self._command = self._controller = self._answer = self._keeper = None
-        self._to_target, self._target, self._target_heard = False, math.nan, math.inf
+        self._to_target, self._target, self._target_heard = False, (), math.inf
 
     def _holds_at_end(self, number: int) -> bool:
         following = self._guard.status is Status.FOLLOWING
@@ -197,7 +202,7 @@ class GuardRun(Run):
         twin = self._twin
         values: dict[str, object] = {
             "status": guard.status.name.lower(),
-            "theta": guard.theta,
+            "theta": format_knobs(guard.theta, ""),
             "rearms_left": max(self._config.rearms - guard.rearmed, 0),
             "twin": twin.process.pid if twin is not None else 0,
         }
@@ -233,37 +238,36 @@ class GuardRun(Run):
         """Answer a state of the loop with what is commanded, where no controller does."""
         guard, self._answered = self._guard, min(self._answered, state.step)  # a run may restart
         if self._to_target or guard.status is Status.TRIPPED:
-            answer = ControlInput(theta=[guard.theta], step=state.step, holding=guard.arrived)
+            answer = ControlInput(theta=guard.theta, step=state.step, holding=guard.arrived)
             answer.header = state.header
             self._answer.publish(answer)
             self._answered = state.step
 
     def _on_target(self, target: Any, entities: Entities) -> None:
-        """Move theta to a target from now on; not a number: follow the controller again."""
+        """Move theta to a target from now on; without numbers: follow the controller again."""
         if self._answer is None:
             self._answer = entities.publisher(ControlInput, "~/theta", RELIABLE)
             entities.dated_subscription(MeasuredState, "state", self._answer_state, RELIABLE)
         self._target_heard = now = time.monotonic()
-        if math.isfinite(target.data):
+        if target.data:
             self._to_target = True
-        elif math.isfinite(self._target):
+        elif self._target:
             self._guard.follow(now + SAFETY.hang)
-        self._target = target.data
+        self._target = tuple(target.data)
 
     def _on_answer(self, answer: Any, written: float) -> None:
         now = time.monotonic()
         if self._command is None:
             return
         arrival = self._answers.hear(answer.step, _seconds(answer.header.stamp), now, written)
-        if arrival is Arrival.LATE or (self._to_target and math.isfinite(self._target)):
+        if arrival is Arrival.LATE or (self._to_target and self._target):
             return
         old = arrival is Arrival.TOO_OLD or self._is_past(answer)
         waits = self._guard.status is Status.WAITING and math.isinf(self._target_heard)
         if waits and self._latched is not None:
             self._node.get_logger().warning("the loop had tripped: it stays so until ~/rearm")
             self._guard.latch(self._latched)
-        theta = answer.theta[0] if len(answer.theta) == 1 else math.nan
-        self._guard.hear_answer(theta, answer.saturated, now, old)
+        self._guard.hear_answer(answer.theta, answer.saturated, now, old)
         if self._guard.status is Status.FOLLOWING and not old:
             self._to_target = False
             self._command.pass_on(answer, self._advance(now))
@@ -294,6 +298,10 @@ class GuardRun(Run):
         if self._news() != self._said:
             self._announce()
 
+    @property
+    def _safe(self) -> str:
+        return f"theta_safe = {format_knobs(self._config.each('theta_safe'))}"
+
     def _look(self) -> None:
         """Look at the graph for other publishers, and at the twin."""
         now, guard, node = time.monotonic(), self._guard, self._node
@@ -309,12 +317,13 @@ class GuardRun(Run):
                     names = " and ".join(map(full_name, infos))
                     guard.note(cause, f"{topic} is published by {names}", now)
         mine = node.get_fully_qualified_name()
-        commanding = [full_name(info) for info in publishers_of(node, self._commanded.topic)]
-        if mine in commanding:
-            commanding.remove(mine)
-            if commanding:
-                text = f"{self._commanded.topic} is also commanded by {', '.join(commanding)}"
-                guard.note(Cause.OTHER, text, now)
+        for topic in self._topics:
+            commanding = [full_name(info) for info in publishers_of(node, topic)]
+            if mine in commanding:
+                commanding.remove(mine)
+                if commanding:
+                    text = f"{topic} is also commanded by {', '.join(commanding)}"
+                    guard.note(Cause.OTHER, text, now)
         if not (controllers or self._to_target) and guard.status is Status.FOLLOWING:
             guard.note(Cause.INACTIVE, "the controller is inactive or has ended", now)
         if len(controllers) == 1 and full_name(controllers[0]).startswith("/"):  # its name is known
@@ -341,7 +350,7 @@ class GuardRun(Run):
             self._node.destroy_client(self._controller)
         self._controller = self._node.create_client(Trigger, service)
 
-    def _advance(self, now: float) -> float:
+    def _advance(self, now: float) -> tuple[float, ...]:
         """Move theta on; the twin knows it before the rig does."""
         steps, self._moved = self._last[0] - self._moved, self._last[0]
         if self._lockstep and steps:  # its time is counted in steps
@@ -361,26 +370,26 @@ class GuardRun(Run):
         """Return what is announced as soon as it changes."""
         guard = self._guard
         arrived = guard.arrived and (self._to_target or guard.status is Status.TRIPPED)
-        return guard.status, guard.theta if arrived else None, guard.trip  # False would be 0.0
+        return guard.status, guard.theta if arrived else None, guard.trip
 
     def _announce(self) -> None:
         """Publish the state if it is another one."""
         now, guard, trip = time.monotonic(), self._guard, self._guard.trip
         clock = self._node.get_clock().now()
-        message = GuardState(status=int(guard.status), theta=[guard.theta])
+        message = GuardState(status=int(guard.status), theta=guard.theta)
         message.header.stamp = clock.to_msg()
         if trip is not None:
             message.cause, message.reason = trip.cause.value, trip.reason
             message.tripped_at = 1e-9 * clock.nanoseconds - (now - trip.when)
-            message.tripped_theta, message.tripped_x = [trip.theta], list(trip.x)
+            message.tripped_theta, message.tripped_x = trip.theta, list(trip.x)
         message.rearm_refused = guard.refusal(now)
         message.rearms_left = max(self._config.rearms - guard.rearmed, 0)
         said = self._news()
         if said != self._said or message.rearm_refused != self._refused:
             if trip is not None and guard.status is Status.TRIPPED and said != self._said:
                 self._node.get_logger().error(
-                    f"theta {'is at' if guard.at_safe else 'returns to'} theta_safe = "
-                    f"{self._config.theta_safe:g}: {trip.reason}"
+                    f"theta {'is at' if guard.at_safe else 'returns to'} {self._safe}: "
+                    f"{trip.reason}"
                 )
                 is_new = trip is not self._latched  # whose alarm was before the restart
                 if is_new and (trip.cause is not Cause.ENDED or self._failed):
@@ -397,7 +406,7 @@ class GuardRun(Run):
             self._guard.note(Cause.ASKED, "~/trip was called", time.monotonic())
             self._say(time.monotonic())
             self._announce()
-            response.message = f"theta returns to theta_safe = {self._config.theta_safe:g}"
+            response.message = f"theta returns to {self._safe}"
         return response
 
     def _on_rearm(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -439,7 +448,7 @@ class GuardNode(ManagedNode[GuardRun]):
     Theta keeps its limits and its rate. It returns to theta_safe, and stays there until
     ``~/rearm``, when a measured channel is beyond its limit, not finite, stuck or silent, when the
     controller is silent, too old, inactive or doubled, and after ``~/trip``. While ``~/target``
-    holds a number, theta moves there and the controller is not heard. An orderly end does
+    holds numbers, theta moves there and the controller is not heard. An orderly end does
     what ``on_end`` says; if the guard is killed, its twin returns theta to theta_safe.
     """
 

@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import IO
 
@@ -53,9 +53,9 @@ class Alarm:
             "CAUSE": trip.cause.value,
             "REASON": trip.reason,
             "TIME": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() - ago)),
-            "THETA": f"{trip.theta:g}",
-            "THETA_SAFE": f"{config.theta_safe:g}",
-            "X": " ".join(f"{value:g}" for value in trip.x),
+            "THETA": _join(trip.theta),
+            "THETA_SAFE": _join(config.each("theta_safe")),
+            "X": _join(trip.x),
             "NODE": node,
             "COMMAND": config.command,
         }
@@ -92,3 +92,7 @@ class Alarm:
                 end = f"exit code {code}" if code > 0 else f"signal {-code}"
                 text = f"failed: {end} after {seconds:.1f} s: {last or 'it said nothing'}"
                 self._report(f"on_alarm = {self._config.on_alarm!r} {text}")
+
+
+def _join(values: Iterable[float]) -> str:
+    return " ".join(f"{value:g}" for value in values)

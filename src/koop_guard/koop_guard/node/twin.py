@@ -19,11 +19,12 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
-from koop_core.config.fields import parse_source
+from koop_core.config.knobs import MOST
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard
 from koop_guard.note import TWIN, Note, leave, read
@@ -35,7 +36,8 @@ PROGRAM = (
     "from koop_node.process.ending import end_process; end_process(main(int(sys.argv[1])))"
 )
 LOOK = 0.25  # [s] between two looks for a sign of life
-_WRITTEN = struct.Struct("<ddqqd")  # theta, sign of life [s], whether commanded, step, its time [s]
+# theta, its knobs, sign of life [s], whether commanded, step, its time [s]
+_WRITTEN = struct.Struct(f"<{MOST}dqdqqd")
 _SIZE = _WRITTEN.size + 1  # and whether the twin is ready
 
 
@@ -45,14 +47,18 @@ class SharedTheta:
     def __init__(self, descriptor: int) -> None:
         self._memory = mmap.mmap(descriptor, _SIZE)
 
-    def write(self, theta: float, now: float, commanded: bool, last: tuple[int, float]) -> None:
+    def write(
+        self, theta: Sequence[float], now: float, commanded: bool, last: tuple[int, float]
+    ) -> None:
         """Write theta, a sign of life, whether the twin is to take over, and the newest step."""
-        _WRITTEN.pack_into(self._memory, 0, theta, now, commanded, *last)
+        n = len(theta)
+        unused = (0.0,) * (MOST - n)
+        _WRITTEN.pack_into(self._memory, 0, *theta, *unused, n, now, commanded, *last)
 
-    def read(self) -> tuple[float, float, bool, tuple[int, float]]:
+    def read(self) -> tuple[tuple[float, ...], float, bool, tuple[int, float]]:
         """Return what was last written."""
-        theta, alive, commanded, step, came = _WRITTEN.unpack_from(self._memory)
-        return theta, alive, bool(commanded), (step, came)
+        *theta, n, alive, commanded, step, came = _WRITTEN.unpack_from(self._memory)
+        return tuple(theta[:n]), alive, bool(commanded), (step, came)
 
     @property
     def ready(self) -> bool:
@@ -84,25 +90,27 @@ class Twin:
         """Return whether it should be ready by now [s], and is not."""
         return not self.shared.ready and now - self._begun > SAFETY.first
 
-    def prepare(self, config: dict[str, Any], topic: str, kind: str, publishers: list[str]) -> None:
+    def prepare(
+        self, config: dict[str, Any], topics: list[str], kinds: Sequence[str], publishers: list[str]
+    ) -> None:
         """Say what it may have to command.
 
         Parameters
         ----------
         config : dict
             Values of the guard's configuration.
-        topic, kind : str
-            Full name and message type of the command.
+        topics, kinds : list of str
+            Full names and message types of the command.
         publishers : list of str
             Ids of the rig's publishers, for the note.
         """
-        order = {"config": config, "topic": topic, "kind": kind, "publishers": publishers}
+        order = {"config": config, "topics": topics, "kinds": kinds, "publishers": publishers}
         with suppress(OSError):
             assert self.process.stdin is not None
             self.process.stdin.write(json.dumps(order).encode() + b"\n")
             self.process.stdin.flush()
 
-    def release(self, theta: float) -> None:
+    def release(self, theta: Sequence[float]) -> None:
         """Let it go: theta is where it is to be."""
         self.shared.write(theta, time.monotonic(), False, (0, 0.0))
         with suppress(OSError):
@@ -148,14 +156,17 @@ def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
     return False
 
 
-def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int, float]) -> None:
+def _take_over(
+    client: Any, order: dict[str, Any], theta: Sequence[float], last: tuple[int, float]
+) -> None:
     """Return theta to theta_safe, as long as the rig is there."""
     from koop_guard.node.alarm import Alarm
     from koop_guard.node.wire import Command, describe_theta, return_to_safe
 
     config = GuardConfig(**order["config"])
-    field = parse_source(config.command).fields[0]
-    command = Command(client.node.create_publisher, order["kind"], order["topic"], field)
+    topics = zip(config.commands, order["topics"], strict=True)
+    sources = [source._replace(topic=topic) for source, topic in topics]
+    command = Command(client.node.create_publisher, sources, order["kinds"])
     guard = Guard(config, theta)
     guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
     alarm = Alarm(config, print)

@@ -1,14 +1,15 @@
-"""The rig's command as a message: of any type with a number, or a ControlInput."""
+"""The rig's command as messages: of any type with a number for each knob, or a ControlInput."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from koop_msgs.msg import ControlInput
 
-from koop_core.config.fields import Path, check_fields, write_field
+from koop_core.config.fields import Source, check_fields, write_field
+from koop_core.config.knobs import format_knobs
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Guard
 from koop_guard.note import THETA_LEFT
@@ -25,40 +26,56 @@ class Command:
     ----------
     create : callable
         ``create(kind, topic, qos)`` returns a publisher.
-    name, topic : str
-        Message type and topic.
-    field : path
-        Path to theta in the message.
+    sources : sequence of Source
+        Topics, by their full names, and the fields that take theta of each knob.
+    kinds : sequence of str
+        Their message types.
 
     Raises
     ------
     koop_core.config.parameter.ConfigError
-        If the type is not installed or has no such field.
+        If a type is not installed or has no such field.
     """
 
-    def __init__(self, create: Callable[..., Any], name: str, topic: str, field: Path) -> None:
-        kind = message_type(name)
-        self._message, self._field = kind(), field
-        self.answers = kind is ControlInput
-        check_fields((field,), self._message)
-        self.publisher = create(kind, topic, RELIABLE if self.answers else NEWEST)
+    def __init__(
+        self, create: Callable[..., Any], sources: Sequence[Source], kinds: Sequence[str]
+    ) -> None:
+        self._messages, self.publishers = [], []
+        for source, name in zip(sources, kinds, strict=True):
+            kind = message_type(name)
+            self._messages.append((kind(), source.fields))
+            check_fields(source.fields, self._messages[-1][0])
+            qos = RELIABLE if kind is ControlInput else NEWEST
+            self.publishers.append(create(kind, source.topic, qos))
 
-    def say(self, theta: float, step: int = 0, header: Any = None) -> None:
-        """Command a theta; a ControlInput answers a step and copies the header of its state."""
-        write_field(self._field, self._message, theta)
-        if self.answers:
-            self._message.step, self._message.holding = max(step, 0), True
-            if isinstance(header, type(self._message.header)):
-                self._message.header = header
-        self.publisher.publish(self._message)
+    @property
+    def is_heard(self) -> bool:
+        """Whether the rig subscribes to any of it."""
+        return any(publisher.get_subscription_count() for publisher in self.publishers)
 
-    def pass_on(self, answer: Any, theta: float) -> None:
-        """Command a theta with all else that the controller answered."""
-        answer.theta = (theta,)
-        if self.answers:
-            self.publisher.publish(answer)
-        else:
-            self.say(theta)
+    def say(self, theta: Sequence[float], step: int = 0, header: Any = None) -> None:
+        """Command theta; a ControlInput answers a step and copies the header of its state."""
+        for publisher, message in self._write(theta):
+            if isinstance(message, ControlInput):
+                message.step, message.holding = max(step, 0), True
+                if isinstance(header, type(message.header)):
+                    message.header = header
+            publisher.publish(message)
+
+    def pass_on(self, answer: Any, theta: Sequence[float]) -> None:
+        """Command theta, a ControlInput with all else that the controller answered."""
+        for publisher, message in self._write(theta):
+            if isinstance(message, ControlInput):
+                answer.theta, message = message.theta, answer
+            publisher.publish(message)
+        answer.theta = theta
+
+    def _write(self, theta: Sequence[float]) -> Iterator[tuple[Any, Any]]:
+        values = iter(theta)
+        for publisher, (message, fields) in zip(self.publishers, self._messages, strict=True):
+            for field in fields:
+                write_field(field, message, next(values))
+            yield publisher, message
 
 
 class Return:
@@ -70,7 +87,7 @@ class Return:
 
     def is_over(self, now: float) -> bool:
         """Return whether nothing more needs to be commanded."""
-        if self._command.publisher.get_subscription_count():
+        if self._command.is_heard:
             self._heard = now
         if not self._guard.at_safe:
             self._since = now
@@ -79,14 +96,15 @@ class Return:
 
 def describe_theta(guard: Guard, config: GuardConfig) -> str:
     """Say where theta is left."""
-    return f"{THETA_LEFT} {guard.theta:g}; theta_safe = {config.theta_safe:g}"
+    left, safe = format_knobs(guard.theta), format_knobs(config.each("theta_safe"))
+    return f"{THETA_LEFT} {left}; theta_safe = {safe}"
 
 
 def return_to_safe(
     guard: Guard,
     config: GuardConfig,
     command: Command,
-    advance: Callable[[float], float],
+    advance: Callable[[float], Sequence[float]],
     last: tuple[int, float],
 ) -> None:
     """Command theta until it has returned, where no states are heard any more.
@@ -97,7 +115,7 @@ def return_to_safe(
     over = Return(guard, command)
     step, came = last
     while not over.is_over(now := time.monotonic()):
-        if command.publisher.get_subscription_count():
+        if command.is_heard:
             passed = int((now - came) * (1.0 - SLOWER) / config.period)
             command.say(advance(now), step + passed)
         time.sleep(min(max(config.period, 0.001), SAFETY.tick))

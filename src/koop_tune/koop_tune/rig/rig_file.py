@@ -58,8 +58,9 @@ class RigFile(RigLimits):
 
     @property
     def command_source(self) -> Source:
-        """Topic, by its full name, and field of the command."""
-        return _full(parse_source(self.command))
+        """Topic, by its full name, and field of the command of a rig with one knob."""
+        (source,) = self.commands
+        return _full(source)
 
     @property
     def speaks_state(self) -> bool:
@@ -106,8 +107,8 @@ REQUIRED = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate",
             "theta_safe")  # fmt: skip
 
 
-def read(path: str | Path) -> RigFile:
-    """Read a rig file.
+def read(path: str | Path, several: bool = False) -> RigFile:
+    """Read a rig file, of a rig with one knob, or with ``several``.
 
     Raises
     ------
@@ -121,9 +122,6 @@ def read(path: str | Path) -> RigFile:
     try:
         values = mapping(content, "the file")
         refuse_unknown(values, [item.name for item in fields(RigFile)], "key")
-        for name, value in values.items():
-            if name.startswith("theta_") and isinstance(value, list):
-                raise ConfigError(f"{name}: a rig has one knob, the simulated plant several")
         lacking = set(REQUIRED) - values.keys()
         missing = [item for item in fields(RigFile) if item.name in lacking]
         if len(missing) == 1:
@@ -131,7 +129,9 @@ def read(path: str | Path) -> RigFile:
         if missing:
             names = ", ".join(item.name for item in missing)
             raise ConfigError(f"these are missing: {names}; koop commission --new asks for each")
-        return RigFile(**values)
+        if (rig := RigFile(**values)).count > 1 and not several:
+            raise ConfigError(f"command has {rig.count} knobs: a rig with one can be commissioned")
+        return rig
     except ConfigError as error:
         text = str(error)
         words = re.match(r"(?:unknown key ')?(\w+)", text)
