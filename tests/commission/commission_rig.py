@@ -1,15 +1,17 @@
-"""A rig for commissioning: fast, unstamped, with one knob."""
+"""A rig for commissioning: fast, unstamped, with one knob, or two."""
 
 import math
 import random
 import threading
 import time
+from dataclasses import replace
 
 from koop_tune.rig.rig_file import RigFile
 
 DT = 0.004
 OMEGA = 2.0 * math.pi * 20.0
-BEST = 0.8
+BEST, SECOND_BEST = 0.8, 0.1
+PATIENCE = 0.2  # [s] for the answer to a sample
 TYPES = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64")  # measured, command
 RIG = RigFile(
     measured="/fast:data[0],data[1]",
@@ -23,10 +25,23 @@ RIG = RigFile(
     channel_max=(8.0, 8.0),
     time=120.0,
 )
+TWO_KNOBS = replace(
+    RIG,
+    command="/fast/knob:data, /fast/second:data[1]",
+    theta_min=(-1.0, 0.0),
+    theta_max=(2.0, 0.3),
+    theta_rate=(4.0, 0.2),
+    theta_start=(1.5, 0.3),
+    theta_safe=(-0.8, 0.25),
+)
 
 
 class FastRig:
     """Oscillates at 20 Hz; its amplitude follows 0.3 + (theta - 0.8)^2 within 0.1 s.
+
+    With a second knob a^2 + a b + b^2 takes the place of a^2 = (theta - 0.8)^2, where b is ten
+    times what the second knob is from 0.1: the two are coupled. It then waits for the answer to
+    each sample, though not for long: a busy machine makes it slow, not another rig.
 
     Its effort, of rms exp(2 (worn - theta)), is the larger, the smaller theta is.
 
@@ -36,6 +51,12 @@ class FastRig:
         Commanded last.
     moved : list of (float, float)
         Every command with its time [s].
+    second : float or None
+        The second knob; None: it has none.
+    size : float
+        Amplitude of the oscillation.
+    pairs : list of (float, float)
+        Both knobs at every command of the second one.
     applied, silent, spike : bool
         Whether theta has an effect, the rig says nothing, the first channel is beyond all limits.
     dead : int or None
@@ -50,7 +71,7 @@ class FastRig:
         Time without a command [s] after which it returns theta by itself.
     """
 
-    def __init__(self):
+    def __init__(self, two_knobs=False):
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
         from std_msgs.msg import Float64, Float64MultiArray
@@ -58,6 +79,9 @@ class FastRig:
         from koop_node.node.entities import WithoutEvents
 
         self.theta, self.moved = RIG.theta_start, []
+        self.second: float | None = None
+        self.size, self.pairs = 1.0, []
+        self._due = 0.0
         self.applied, self.silent, self.spike = True, False, False
         self.dead: int | None = None
         self.not_finite = False
@@ -72,6 +96,10 @@ class FastRig:
         self._publisher = self._node.create_publisher(Float64MultiArray, "/fast", 100)
         self._effort = self._node.create_publisher(Float64, "/fast/effort", 100)
         self._node.create_subscription(Float64, "/fast/knob", self._on_command, 10)
+        if two_knobs:
+            self.second = TWO_KNOBS.theta_start[1]
+            kind, topic = Float64MultiArray, "/fast/second"
+            self._node.create_subscription(kind, topic, self._on_second, 10)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -88,23 +116,34 @@ class FastRig:
         self.theta = message.data
         self.moved.append((time.monotonic(), message.data))
 
+    def _on_second(self, message):
+        self.second, self._due = message.data[1], 0.0
+        self.pairs.append((self.theta, self.second))
+
     def _run(self):
         from std_msgs.msg import Float64
 
-        rng, size, k, due = random.Random(0), 1.0, 0, time.monotonic()
+        rng, k, due = random.Random(0), 0, time.monotonic()
         while not self._over.is_set():
-            self._executor.spin_once(timeout_sec=max(due - time.monotonic(), 0.0))
-            if time.monotonic() < due:
+            self._executor.spin_once(timeout_sec=max(max(due, self._due) - time.monotonic(), 0.0))
+            if time.monotonic() < max(due, self._due):
                 continue
             due += DT
+            if self.second is not None:
+                due = time.monotonic() + DT
+                self._due = due + PATIENCE
             k += 1
             silent = time.monotonic() - self.moved[-1][0] if self.moved else 0.0
             if self.time_out is not None and silent > self.time_out:
                 self.theta = RIG.theta_safe
-            aim = 0.3 + ((self.theta if self.applied else 1.5) - BEST) ** 2
-            size += DT / 0.03 * (aim - size)
-            x = size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
-            y = size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
+            a = (self.theta if self.applied else 1.5) - BEST
+            aim = 0.3 + a**2
+            if self.second is not None:
+                b = 10.0 * (self.second - SECOND_BEST)
+                aim = 0.3 + a**2 + a * b + b**2
+            self.size += DT / 0.03 * (aim - self.size)
+            x = self.size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
+            y = self.size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
             said = [99.0 if self.spike else self.louder * x, y]
             if self.dead is not None:
                 said[self.dead] = 0.5

@@ -19,7 +19,7 @@ from random import random
 import numpy as np
 import pytest
 from chromium import Chromium
-from commission_rig import DT, RIG
+from commission_rig import DT, RIG, TWO_KNOBS, FastRig
 from koop_msgs.msg import ControlInput, GuardState, MeasuredState, PlantTruth
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -39,7 +39,12 @@ from koop_guard.node import KEPT
 from koop_guard.node.twin import Twin
 from koop_hil import installed
 from koop_lab.recorded.report import read
+from koop_loop import parameters
+from koop_loop.parameters import changed
+from koop_tune.result.parameter_text import KNOWN
+from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import as_values
+from relay_esc.config import EscConfig
 
 pytestmark = pytest.mark.ros
 LONG = 60.0  # [s] to start five processes on a busy machine
@@ -259,10 +264,73 @@ def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe
     assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
 
 
+def test_two_coupled_knobs_converge_resume_and_return_together(koop, own_domain, probe, tmp_path):
+    rig_file.write(TWO_KNOBS, tmp_path / "rig.yaml")
+    (tmp_path / "loop.yaml").write_text(koop("params", "--rig", "rig.yaml").communicate()[0])
+    values = changed(
+        parameters.read(tmp_path / "loop.yaml", KNOWN),
+        ("koopman_lifter", "cost", "raw"), ("koopman_lifter", "omega_h", 100.0),
+        ("koopman_lifter", "omega_l", 20.0), ("relay_esc", "law", "adaptive"),
+        ("relay_esc", "dwell", 0.5), ("relay_esc", "tau_f", 0.5),
+        ("relay_esc", "step_size", [0.006, 0.0006]),
+    )  # fmt: skip
+    safe = TWO_KNOBS.theta_safe
+    assert values["relay_esc"]["theta_initial"] == list(safe)
+    parameter_file.write({k: v for k, v in values.items() if v}, tmp_path / "loop.yaml")
+    states = []
+    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    rig = FastRig(two_knobs=True)
+
+    def start(run, condition):
+        count, process = len(rig.pairs), koop("up", "loop.yaml", "--out", run)
+
+        def follows():
+            probe.executor.spin_once(timeout_sec=0.05)
+            if states and states[-1].status == GuardState.TRIPPED and not states[-1].rearm_refused:
+                # a busy machine was silent
+                probe.call(Trigger, "/koop_guard/rearm", Trigger.Request())
+            return len(rig.pairs) > count + 50 and condition()
+
+        wait(follows, run, process, 2.0 * LONG)
+        states.clear()
+        return process
+
+    try:
+        process = start("first", lambda: rig.size < 0.6)  # at theta_safe it is 2.7
+        status = koop("status").communicate()[0]
+        assert re.search(r"theta = \[[-\d.]+, [-\d.]+\], guard following", status), status
+        process.send_signal(signal.SIGINT)
+        assert process.wait(LONG) == 0
+        assert rig.pairs[-1] == safe
+        begin = read_json(tmp_path / ".rig.yaml.controller")["begin"]
+        of_knobs = {k: values["relay_esc"][k] for k in ("theta_initial", "step_size")}
+        kept = EscConfig(**of_knobs, begin=begin).initial_directions().theta.tolist()
+        process = start("again", lambda: rig.theta > 0.0)
+        rig.spike = True
+        probe.spin_until(lambda: states and tuple(states[-1].theta) == safe, "theta_safe")
+        assert states[-1].reason == REASONS["spike"][1]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(LONG) == 0
+    finally:
+        rig.close()
+    # together, each within its rate: a command is up to 40 ms later than the other knob's
+    way = np.array(safe) - states[-1].tripped_theta
+    near = [np.allclose(pair, safe - way, atol=1e-3) for pair in rig.pairs]
+    gone = 1.0 + (np.array(rig.pairs[len(near) - near[::-1].index(True) :]) - safe) / way
+    late = np.array(TWO_KNOBS.theta_rate) * 0.04 / np.abs(way)
+    assert np.abs(gone[:, 0] - gone[:, 1]).max() <= late.max()
+    assert (np.abs(np.diff(gone, axis=0)) <= 2.0 * late).all()
+    with BagReader(tmp_path / "again" / "bag") as bag:
+        answers = read_columns(bag, "/theta", ["theta[0]", "theta[1]"])
+    begin = [answers[f"theta[{i}]"][0] for i in (0, 1)]
+    assert begin == kept != list(safe)
+    assert koop("replay", "again", "--offline").wait(3.0 * LONG) == 0  # equal bit for bit
+
+
 def test_the_arrival_of_theta_at_a_target_is_announced(start, probe):
     node, steps, states = probe.node, itertools.count(1), []
     state = node.create_publisher(MeasuredState, "state", 10)
-    target = node.create_publisher(Float64, "/koop_guard/target", KEPT)
+    target = node.create_publisher(Float64MultiArray, "/koop_guard/target", KEPT)
     node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
     start("koop_guard", measured="state:x[0]", command="/knob:data", theta_start=0.5, dt=0.005)
     told = probe.collect(Float64, "/knob")
@@ -270,7 +338,7 @@ def test_the_arrival_of_theta_at_a_target_is_announced(start, probe):
     def until(theta):
         def is_there():
             state.publish(MeasuredState(step=next(steps), x=[random()]))
-            target.publish(Float64(data=theta))
+            target.publish(Float64MultiArray(data=[theta]))
             return states and (states[-1].status, states[-1].theta[0]) == (
                 GuardState.FOLLOWING,
                 theta,
@@ -288,7 +356,7 @@ def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_be
     said = probe.collect(ControlInput, "/koop_guard/theta")
     state, asked = (node.create_publisher(*of, 10) for of in ((MeasuredState, "state"),
                                                               (ControlInput, "theta")))  # fmt: skip
-    target = node.create_publisher(Float64, "/koop_guard/target", KEPT)
+    target = node.create_publisher(Float64MultiArray, "/koop_guard/target", KEPT)
     start("koop_guard", measured="state:x[0]", command="/knob:data", theta_safe=1.0,
           theta_start=0.5, dt=dt)  # fmt: skip
     knob, steps, follows = probe.collect(Float64, "/knob"), itertools.count(1), []
@@ -299,7 +367,7 @@ def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_be
         def publish():
             step = next(steps)
             state.publish(MeasuredState(step=step, x=[random()]))
-            target.publish(Float64(data=float("nan") if follows else 0.5))
+            target.publish(Float64MultiArray(data=[] if follows else [0.5]))
             if follows:
                 asked.publish(ControlInput(step=step - behind, theta=[0.8]))
             return condition()
@@ -344,7 +412,7 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig
     process.send_signal(signal.SIGTERM)  # as systemd does
     assert process.wait(LONG) == 0
     left = note.read(str(note.note_of(tmp_path / "loop.yaml")))
-    assert (left.theta, left.trip) == (SAFE, None)  # the next one does not begin tripped
+    assert (left.theta, left.trip) == ((SAFE,), None)  # the next one does not begin tripped
 
 
 def test_a_loop_goes_on_where_its_controller_was_killed(
@@ -562,4 +630,4 @@ def test_a_twin_that_was_stopped_at_its_start_hangs(own_domain):
         assert twin.hangs(time.monotonic() + SAFETY.first)  # the guard then starts another one
     finally:
         twin.process.kill()
-        twin.release(0.0)
+        twin.release([0.0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from koop_core.config.knobs import KnobSettings
 from koop_core.config.parameter import ConfigError, parameter
 from relay_esc.barrier import BarrierParams, barrier_params
 from relay_esc.directions import DirectionState, Knobs, start
+from relay_esc.directions import recalled as recalled_directions
 from relay_esc.elementary import exp, log
 from relay_esc.relay import MEMORY, RelayParams, RelayState, dwell_samples, initial, recalled
 from relay_esc.swing import SWING
@@ -109,11 +111,11 @@ class EscConfig(KnobSettings):
         if self.command and len(parse_source(self.command).fields) != self.count:
             raise ConfigError(f"command = {self.command!r}: must have a field for each knob")
         if self.count > 1:
-            if self.widest or self.margin_slope or self.begin:
-                raise ConfigError("widest, margin_slope and begin are for one knob")
-            for knob in self.knobs(command=""):
-                if knob.step_size == 0.0:
-                    raise ConfigError("step_size = 0: must be above 0 with several knobs")
+            if self.widest or self.margin_slope:
+                raise ConfigError("widest and margin_slope are for one knob")
+            if 0.0 in self.each("step_size"):
+                raise ConfigError("step_size = 0: must be above 0 with several knobs")
+            self.initial_directions()  # each knob is valid
             return
         if self.theta_min >= self.theta_max:
             raise ConfigError(
@@ -138,6 +140,11 @@ class EscConfig(KnobSettings):
                     raise ConfigError(f"{name} = {value:g}: must be above 0 with theta_scale log")
         if self.begin and (len(self.begin) != MEMORY or self.begin[1] not in (1.0, -1.0)):
             raise ConfigError(f"begin: is not what a controller goes on from, {MEMORY} numbers")
+
+    def knob(self, i: int, **others: Any) -> EscConfig:
+        """Return the configuration of one knob alone, with ``others`` changed."""
+        of_all = {"command": "", "begin": ()} if self.count > 1 else {}
+        return super().knob(i, **{**of_all, **others})
 
     @property
     def limits(self) -> tuple[float, ...]:
@@ -179,7 +186,7 @@ class EscConfig(KnobSettings):
 
     def knob_limits(self, dt: float) -> Knobs:
         """Return what ``relay_esc.directions.answer`` takes besides the first knob's params."""
-        each = [knob.params(dt) for knob in self.knobs(command="")]
+        each = [knob.params(dt) for knob in self.knobs()]
         unit = each[0].step_size or 1.0
         return Knobs(
             np.array([p.u_low for p in each]),
@@ -192,13 +199,16 @@ class EscConfig(KnobSettings):
 
     def initial_directions(self) -> DirectionState:
         """Return the state of the search along directions before the first sample."""
-        each = [knob.initial() for knob in self.knobs(command="")]
-        return start(
+        each = [knob.initial() for knob in self.knobs()]
+        begin = start(
             np.array([state.u for state in each]),
             np.array([state.epsilon for state in each]),
             np.array([state.commanded for state in each]),
             np.array([state.output for state in each]),
         )
+        if self.count > 1 and self.begin:
+            return recalled_directions(begin, self.begin, self.theta_scale == "log")
+        return begin
 
     @property
     def beginning(self) -> float:

@@ -17,18 +17,20 @@ With one knob this is the relay alone, bit for bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import Settings, constants, parameter
+from koop_core.config.parameter import ConfigError, Settings, constants, parameter
 from koop_core.kernels import njit
 from relay_esc import relay
 from relay_esc.elementary import exp
-from relay_esc.relay import RelayParams, RelayState, initial, slew
+from relay_esc.relay import MEMORY, RelayParams, RelayState, initial, slew
 from relay_esc.swing import SWING, Swing
 
 judged = partial(parameter, origin="koop study knobs")
@@ -47,6 +49,7 @@ class DirectionSettings(Settings):
 DIRECTIONS = constants(DirectionSettings())
 FACTOR, DIP, SHORT, CENTRED, EPSILON = range(5)
 OWN = 5  # numbers that a direction has of its own
+LASTING = ("base", "begin", "output", "directions", "own")  # arrays that outlast the controller
 
 
 class Knobs(NamedTuple):
@@ -119,6 +122,35 @@ def start(
     base = np.zeros(1) if n == 1 else u.copy()  # one knob: s is u itself
     first = initial(u[0] if n == 1 else 0.0, int(epsilon[0]), u[0] if n == 1 else 0.0)
     return DirectionState(first, 0, 0, base, u.copy(), output.copy(), np.eye(n), own, theta.copy())
+
+
+def memory(state: DirectionState) -> tuple[float, ...]:
+    """Return what a controller goes on from after its end: what the relay does, and where."""
+    where = (getattr(state, name).ravel().tolist() for name in LASTING)
+    return (*relay.memory(state.relay), float(state.active), float(state.legs), *chain(*where))
+
+
+def recalled(begin: DirectionState, numbers: Sequence[float], logarithmic: bool) -> DirectionState:
+    """Return the state ``begin`` with what :func:`memory` has kept; it waits to join a run.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If those are not such numbers.
+    """
+    ends = np.cumsum([MEMORY, 2, *(getattr(begin, name).size for name in LASTING)])
+    if len(numbers) != ends[-1] or numbers[1] not in (1.0, -1.0):
+        raise ConfigError(f"begin: is not what a controller goes on from, {ends[-1]} numbers")
+    of_relay, (active, legs), *where = np.split(np.array(numbers), ends[:-1])
+    arrays = {
+        name: values.reshape(getattr(begin, name).shape)
+        for name, values in zip(LASTING, where, strict=True)
+    }
+    theta = np.array([exp(u) for u in arrays["output"]]) if logarithmic else arrays["output"].copy()
+    return begin._replace(
+        relay=relay.recalled(begin.relay, of_relay.tolist()),
+        active=int(active) % theta.size, legs=int(legs), theta=theta, **arrays,
+    )  # fmt: skip
 
 
 def reset(k: Knobs, state: DirectionState, begin: DirectionState) -> DirectionState:

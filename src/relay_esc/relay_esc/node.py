@@ -128,7 +128,9 @@ class EscRun(Run):
             "noise": answer.noise,
             "confidence": answer.confidence,
             "model_id": self._origin[1] if self._origin else "",
-            "begin": json.dumps([] if self._several else relay.memory(self._state)),
+            "begin": json.dumps(
+                directions.memory(self._directions) if self._several else relay.memory(self._state)
+            ),
         }
         if not self._several and relay.outside(self._params, self._state):
             return WARN, "theta is outside its limits", values
@@ -202,11 +204,11 @@ class EscRun(Run):
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]
         if self._several:
-            begin = config.initial_directions()
+            begin = replace(config, begin=()).initial_directions()
             self._directions = directions.reset(self._knobs, self._directions, begin)
         else:
             self._state = relay.reset(self._state, replace(config, begin=()).initial())
-        beginning = format_knobs(knob.beginning for knob in config.knobs(command=""))
+        beginning = format_knobs(knob.beginning for knob in config.knobs())
         response.success = True
         response.message = f"theta is {beginning} again, filter and relay are reset"
         return response

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -150,6 +151,13 @@ def test_a_configuration_of_several_knobs_has_limits_steps_and_rates_of_each() -
         assert (state.theta <= [1.0, 8.0]).all()
     assert state.theta[0] == pytest.approx(0.1, rel=0.1)  # the optimum is beyond its limit
     assert state.theta[1] == pytest.approx(math.exp(0.5), rel=0.2)
+    begin = directions.memory(state)
+    again = replace(several, begin=begin).initial_directions()  # as after a restart
+    assert directions.memory(again) == begin
+    assert again.theta.tolist() == pytest.approx(state.theta.tolist(), rel=1e-15)
+    for wrong in (begin[:-1], (*begin, 0.0), (begin[0], 0.0, *begin[2:])):
+        with pytest.raises(ConfigError, match="begin: is not what a controller goes on from"):
+            replace(several, begin=wrong)
     before = state.output.copy()
     state = directions.reset(knobs, state, several.initial_directions())
     assert state.output.tolist() == before.tolist()

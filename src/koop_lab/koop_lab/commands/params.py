@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
-from koop_tune.result.parameter_text import KNOWN, OF_A_RIG, annotated
+from koop_guard.note import note_of
+from koop_tune.result.parameter_text import KNOWN, OF_A_RIG, annotated, list_untuned
+from koop_tune.rig.rig_file import read
 
 
 def register(commands: Any) -> None:
@@ -15,10 +18,17 @@ def register(commands: Any) -> None:
         "nodes", nargs="*", metavar="NODE",
         help=f"of {', '.join(KNOWN)}; default: {' '.join(OF_A_RIG)}, for a rig as the plant",
     )  # fmt: skip
+    parser.add_argument(
+        "--rig", metavar="FILE", type=Path,
+        help="rig file, of one knob or several, whose values to fill in; with the guard",
+    )  # fmt: skip
     parser.set_defaults(func=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    print(annotated(args.nodes or OF_A_RIG), end="")
+    rig = read(args.rig, several=True) if args.rig else None
+    nodes = args.nodes or [*OF_A_RIG, *["koop_guard"] * (rig is not None)]
+    listed = list_untuned(rig, note_of(args.rig)) if rig is not None else None
+    print(annotated(nodes, listed), end="")
     return 0

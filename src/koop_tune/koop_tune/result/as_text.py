@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
-from koop_core.config.describe import parameter_file
 from koop_core.text_table import table
-from koop_guard.config import RigLimits
 from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.excitation.static_map import MAP
-from koop_tune.result.parameter_text import HEAD, KNOWN
+from koop_tune.result.parameter_text import (
+    OF_RIG,
+    Parameters,
+    annotated,
+    list_guard,
+    list_lifter,
+)
 from koop_tune.result.tune_result import TuneResult
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.tuning import Tuning
-
-Parameters = dict[str, tuple[Any, str]]  # value and reason by name
 
 
 def as_table(result: TuneResult) -> str:
@@ -92,11 +92,8 @@ def list_parameters(
     return {
         "koopman_lifter": _lifter(tuning, rig, model),
         "relay_esc": _esc(tuning, rig),
-        "koop_guard": _guard(rig, note),
+        "koop_guard": list_guard(rig, note),
     }
-
-
-OF_RIG = "as the rig file says"
 
 
 def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
@@ -120,11 +117,10 @@ def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
             "same search",
         ),
         "y_out_max": (float(f"{tuning.y_out_max:.3g}"), "ten times the largest of the recording"),
-        "dt": (rig.dt, OF_RIG),
     }
     if model is not None:  # beside the file: the folder may be moved
         parameters["model"] = (model.name, "learned from the excitation")
-    return parameters | {name: (value, OF_RIG) for name, value in rig.lifter_input.items()}
+    return parameters | list_lifter(rig)
 
 
 def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
@@ -163,25 +159,9 @@ def describe_barrier(safe: SafeRange, slope: float) -> str:
     return f"the constraint ends theta's range on {sides}: theta's limits alone keep it"
 
 
-def _guard(rig: RigFile, note: Path | None) -> Parameters:
-    names = sorted(item.name for item in fields(RigLimits))
-    parameters: Parameters = {name: (getattr(rig, name), OF_RIG) for name in names}
-    if note is not None:
-        parameters["note"] = (str(note.resolve()), "beside the rig file")
-    return parameters
-
-
 def as_parameters(
     tuning: Tuning, rig: RigFile, model: Path | None, note: Path | None = None
 ) -> str:
     """Return the annotated parameter file; ``note`` is where theta's last value is noted."""
     listed = list_parameters(tuning, rig, model, note)
-    values, reasons = (
-        {
-            node: {name: pair[i] for name, pair in listing.items()}
-            for node, listing in listed.items()
-        }
-        for i in (0, 1)
-    )
-    nodes = {node: KNOWN[node] for node in (*listed, "recorder")}
-    return HEAD + parameter_file(nodes, values, reasons)
+    return annotated((*listed, "recorder"), listed)
