@@ -205,7 +205,8 @@ def run_knobs(
         state, _, _ = directions.answer(
             relay_params, knobs, state, arrival, False, settling, r[k], False
         )
-        theta[k] = state.theta
+        for i in range(state.theta.size):  # assigning arrays takes seconds to compile
+            theta[k, i] = state.theta[i]
         x, y = dynamics.advance_knobs(plant, plant_knobs, k, x, y, applied, state.theta)
     return len(r)
 

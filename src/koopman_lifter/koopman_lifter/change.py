@@ -163,8 +163,10 @@ def _add(s: Spectrum, x: NDArray[np.float64]) -> complex:
             product += s.amplitude[i].conjugate() * c / s.usual[i]
         s.amplitude[i] = c
     for age in range(SEGMENTS - 1, 0, -1):
-        sums[age] = sums[age - 1]
-        moments[age] = moments[age - 1]
+        for i in range(x.shape[0]):
+            moments[age, i, 0], moments[age, i, 1] = moments[age - 1, i, 0], moments[age - 1, i, 1]
+            for m in range(turn.shape[1]):
+                sums[age, i, m] = sums[age - 1, i, m]
     _begin_segment(s)
     return product
 
@@ -213,7 +215,8 @@ def follow(threshold: float, s: Spectrum, tally: Tally, step: int, x: NDArray[np
         product = _add(s, x if i == lost else s.last)
         if product != 0j:
             tally = _count(threshold, tally, product)
-    s.last[:] = x
+    for i in range(x.shape[0]):  # assigning arrays takes seconds to compile
+        s.last[i] = x[i]
     s.cursor[3] = step
     return tally
 
@@ -253,7 +256,8 @@ def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
         ear.part[i] = (ear.part[i] if cursor[2] > 0 else 0.0) + x[i]
     cursor[2] += 1
     if cursor[2] == cursor[1]:
-        ear.rows[cursor[0]] = ear.part / cursor[1]
+        for i in range(x.shape[0]):
+            ear.rows[cursor[0], i] = ear.part[i] / cursor[1]
         cursor[0] += 1
         cursor[2] = 0
 

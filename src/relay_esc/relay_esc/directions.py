@@ -210,7 +210,8 @@ def rotate(p: RelayParams, k: Knobs, state: DirectionState) -> None:
         state.own[j, FACTOR], state.own[j, SHORT] = 1.0, 0.0
         if abs(product(directions[j], way)) > abs(product(directions[alike], way)):
             alike = j
-    directions[alike, :] = way
+    for i in range(n):  # assigning arrays takes seconds to compile
+        directions[alike, i] = way[i]
     for j in range(n):
         if j == alike:
             continue
