@@ -305,7 +305,7 @@ def test_two_coupled_knobs_converge_resume_and_return_together(koop, own_domain,
         begin = read_json(tmp_path / ".rig.yaml.controller")["begin"]
         of_knobs = {k: values["relay_esc"][k] for k in ("theta_initial", "step_size")}
         kept = EscConfig(**of_knobs, begin=begin).initial_directions().theta.tolist()
-        process = start("again", lambda: rig.theta > 0.0)
+        process = start("again", lambda: rig.theta > 0.0 and rig.second < 0.2)
         rig.spike = True
         probe.spin_until(lambda: states and tuple(states[-1].theta) == safe, "theta_safe")
         assert states[-1].reason == REASONS["spike"][1]
