@@ -143,7 +143,7 @@ def describe_unit(
         cwd=_escape(str(Path.cwd())),
         environment="\n".join(f"Environment={_quote(f'{k}={v}')}" for k, v in kept.items()),
         user=f"User={pwd.getpwuid(file.stat().st_uid).pw_name}" if system else "",
-        start=3.0 * START_TIMEOUT,
+        start=2.0 * START_TIMEOUT,
         watchdog=WATCHDOG + 20.0 * _period(planned),
         again=again,
         longest=max(300.0, again),
