@@ -27,8 +27,6 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    rig = read(args.rig, several=True) if args.rig else None
-    nodes = args.nodes or [*OF_A_RIG, *["koop_guard"] * (rig is not None)]
-    listed = list_untuned(rig, note_of(args.rig)) if rig is not None else None
-    print(annotated(nodes, listed), end="")
+    listed = list_untuned(read(args.rig, several=True), note_of(args.rig)) if args.rig else {}
+    print(annotated(args.nodes or dict.fromkeys((*OF_A_RIG, *listed)), listed), end="")
     return 0

@@ -31,7 +31,7 @@ HEAD = """\
 """
 
 
-def annotated(nodes: Iterable[str], listed: Mapping[str, Parameters] | None = None) -> str:
+def annotated(nodes: Iterable[str], listed: Mapping[str, Parameters]) -> str:
     """Return the file for some nodes; ``listed`` are the parameters that are not the defaults.
 
     Raises
@@ -43,7 +43,7 @@ def annotated(nodes: Iterable[str], listed: Mapping[str, Parameters] | None = No
     values, reasons = (
         {
             node: {name: pair[i] for name, pair in parameters.items()}
-            for node, parameters in (listed or {}).items()
+            for node, parameters in listed.items()
         }
         for i in (0, 1)
     )
@@ -70,14 +70,15 @@ def list_untuned(rig: RigFile, note: Path) -> dict[str, Parameters]:
     ``note`` is where theta's last value is noted.
     """
     knobs = zip(*map(rig.each, ("theta_min", "theta_max", "theta_rate")), strict=True)
-    crossing = DWELLS * EscConfig().dwell
+    dwell = EscConfig().dwell
+    crossing = DWELLS * dwell
     steps = tuple(min((high - low) / crossing, rate) * rig.dt for low, high, rate in knobs)
     return {
         "koopman_lifter": list_lifter(rig),
         "relay_esc": {
             "step_size": (
                 steps if rig.count > 1 else steps[0],
-                f"crosses the range in {DWELLS:g} times the dwell time of 15 s",
+                f"crosses the range in {DWELLS:g} times the dwell time of {dwell:g} s",
             ),
             "theta_min": (rig.theta_min, OF_RIG),
             "theta_max": (rig.theta_max, OF_RIG),
