@@ -170,8 +170,12 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     state = progress.load(RIG, tmp_path / "run")
     theta = [hold.theta for hold in state.holds]
     assert theta[: len(before)] == [hold["theta"] for hold in before]
-    kept = read_holds(RIG, tmp_path / "run", state)
-    assert RIG.scale.theta(np.array([hold.u for hold in kept])) == pytest.approx(theta, abs=0.01)
+    kept = RIG.scale.theta(np.array([hold.u for hold in read_holds(RIG, tmp_path / "run", state)]))
+    # where theta was held for long enough before an end, the hold counts beside its repetition
+    near = np.abs(kept[:, None] - theta) < 0.01
+    assert near.any(axis=0).all()
+    assert near.any(axis=1).all()
+    assert (np.diff(near.argmax(axis=1)) >= 0).all()
 
 
 def test_a_time_that_is_too_short_is_refused_before_theta_moves(fast_rig, koop, tmp_path):
