@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from koop_core.config.constraint import Constraint, parse_constraint
 from koop_core.config.fields import Source, parse_source, parse_sources
@@ -136,22 +137,22 @@ class RigLimits(KnobSettings):
             if (count := len(getattr(self, name))) not in (0, n):
                 raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
 
-    @property
+    @cached_property  # asked for with each message
     def source(self) -> Source:
         """Topic and fields of the measured channels."""
         return parse_source(self.measured)
 
-    @property
+    @cached_property
     def commands(self) -> tuple[Source, ...]:
         """Topics and fields of the command."""
         return parse_sources(self.command)
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of knobs."""
         return sum(len(source.fields) for source in self.commands)
 
-    @property
+    @cached_property
     def knob_names(self) -> tuple[str, ...]:
         """Names of the knobs: of one theta, of several what tells their fields apart."""
         knobs = [(source.topic, name) for source in self.commands for name in source.names]
@@ -161,12 +162,12 @@ class RigLimits(KnobSettings):
                 return names
         return tuple(f"{topic}:{name}" for topic, name in knobs) if len(knobs) > 1 else ("theta",)
 
-    @property
+    @cached_property
     def bounded(self) -> Constraint | None:
         """The constraint; None without one."""
         return parse_constraint(self.constraint)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The channels, as the file writes them."""
         return self.source.names
