@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from koop_core.config.parameter import ConfigError
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard, RepeatMeter, Status
+from koop_guard.node.twin import LOOK, Stillness
 
 DT = 0.005
 CONFIG = GuardConfig(
@@ -372,3 +373,11 @@ def test_times_follow_the_pace_of_the_rig():
     assert guard.move(1e9) == pytest.approx(
         (2.0 - 0.16 - 16.0 * 0.05,)
     )  # two periods, however late
+
+
+def test_the_twin_counts_only_the_time_in_which_it_looked():
+    still = Stillness()
+    assert still.look(alive=1.0, commanded=True) == 0.0
+    assert [still.look(1.0, True) for _ in range(3)] == [LOOK, 2 * LOOK, 3 * LOOK]  # a pause: none
+    assert still.look(1000.0, True) == 0.0
+    assert [still.look(1000.0, False) for _ in range(3)] == [0.0] * 3  # nothing is commanded

@@ -136,7 +136,8 @@ def main(descriptor: int) -> int:
             return 0
         order = json.loads(line)
         shared.ready = True
-        while not _has_ended(guard_id, shared):
+        still = Stillness()
+        while not _has_ended(guard_id, shared, still):
             client.spin(0.0)  # what was discovered
         theta, _, commanded, last = shared.read()
         if commanded:
@@ -144,12 +145,28 @@ def main(descriptor: int) -> int:
     return 0
 
 
-def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
+class Stillness:
+    """How long the guard has given no sign of life, in the twin's own looks.
+
+    A machine that was paused wakes both: the time of the pause is nobody's.
+    """
+
+    def __init__(self) -> None:
+        self._alive, self._looks = 0.0, 0
+
+    def look(self, alive: float, commanded: bool) -> float:
+        """Return the time [s] since the last sign of life, which was at ``alive``."""
+        same = commanded and alive == self._alive
+        self._alive, self._looks = alive, self._looks + 1 if same else 0
+        return self._looks * LOOK
+
+
+def _has_ended(guard_id: int, shared: SharedTheta, still: Stillness) -> bool:
     """Wait a moment for the end of the guard; kill one that has stopped."""
     if select.select([sys.stdin], [], [], LOOK)[0]:
         return not os.read(0, 1024)
     _, alive, commanded, _ = shared.read()
-    if commanded and time.monotonic() - alive > SAFETY.stopped:
+    if still.look(alive, commanded) > SAFETY.stopped:
         with suppress(ProcessLookupError):
             os.kill(guard_id, signal.SIGKILL)
         print(f"the guard stood still for {SAFETY.stopped:g} s: its twin ended it", flush=True)
