@@ -31,6 +31,7 @@ PAGES = {
     "Explanation": "theory adaptive-law tuning study decisions/README",
 }
 PUBLIC = {
+    "koop_esc": "estimator online",
     "koopman_lifter": "observables edmd modes model delays contrast cost",
     "relay_esc": "config relay swing directions",
     "koop_loop": "loop metrics training",

@@ -1,15 +1,16 @@
 """The wheel of what needs no ROS imports and runs where none is installed."""
 
 import importlib.util
+import os
 import re
 import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from koop_bag.bag.reader import BagReader
 from koop_loop.loop import simulate
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
@@ -19,7 +20,9 @@ ROOT = Path(__file__).parents[2]
 WHEEL = ROOT / "python"
 BAG = ROOT / "recordings" / "golden" / "run" / "bag"
 LIBRARIES = ("numpy", "numpy.libs", "scipy", "scipy.libs", "numba", "llvmlite", "llvmlite.libs",
-             "yaml", "_yaml", "mcap", "mcap_ros2", "zstandard", "lz4", "tqdm")  # fmt: skip
+             "yaml", "_yaml", "mcap", "mcap_ros2", "zstandard", "lz4", "tqdm",
+             "sklearn", "scikit_learn", "scikit_learn.libs", "joblib", "threadpoolctl.py",
+             "cloudpickle")  # fmt: skip
 IMPORT_ALL = """
 import importlib, pkgutil, sys
 import {packages}
@@ -28,25 +31,45 @@ for package in ({packages},):
         importlib.import_module(module.name)
 assert not any(name in sys.modules for name in ("rclpy", "koop_node", "koop_msgs"))
 """
-RUN = """
-from pathlib import Path
-from koop_bag.bag.columns import read_columns
-from koop_bag.bag.reader import BagReader
-from koop_loop.loop import simulate
-from koopman_lifter.config import LifterConfig
-from relay_esc.config import EscConfig
-from vdp_plant.config import PlantConfig
-loop = simulate(PlantConfig(), LifterConfig(cost="raw"), EscConfig(), None, 2000)
-with BagReader(Path({bag!r})) as bag:
-    print(loop.theta[-1].hex(), read_columns(bag, "/theta", ["theta"])["theta"].size)
-"""
 SAVE = """
 from pathlib import Path
 import numpy as np
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 with BagReader(Path({bag!r})) as bag:
-    np.save("states.npy", read_columns(bag, "/state", ["x"])["x"].T)
+    np.save("states.npy", read_columns(bag, "/state", ["x"])["x"])
+"""
+FACADE = """
+import sys
+import koop_esc
+assert not {"numba", "sklearn"} & set(sys.modules)  # half a second each
+assert all(getattr(koop_esc, name) is not None for name in koop_esc.__all__)
+import doctest
+from sklearn.utils.estimator_checks import check_estimator
+import koop_esc.estimator, koop_esc.online
+for module in (koop_esc.estimator, koop_esc.online):
+    results = doctest.testmod(module)
+    assert results.attempted and not results.failed
+check_estimator(koop_esc.EDMD(degree=1))
+"""
+GOLDEN = """
+from pathlib import Path
+import numpy as np
+from koop_esc import BagReader, Cost, Seeker, load, read_columns
+with BagReader(Path({run!r}) / "bag") as bag:
+    x, theta = (read_columns(bag, topic, [field])[field]
+                for topic, field in (("/state", "x"), ("/theta", "theta")))
+model = load(Path({run!r}) / "model" / "vdp.npz")
+cost, seeker = Cost(model), Seeker(model.dt, dwell=1.0, tau_f=1.0, step_size=0.01, theta_max=3.0)
+assert np.array_equal([seeker.step(cost.step(row)) for row in x], theta[:, 0])
+"""
+NOTEBOOK = """
+import json, sys
+sys.path.append({wheel!r})
+names = {{}}
+for cell in json.loads(open({path!r}).read())["cells"]:
+    if cell["cell_type"] == "code":
+        exec("".join(cell["source"]), names)
 """
 
 
@@ -85,19 +108,9 @@ def test_there_is_no_ros(python):
 
 
 def test_every_module_imports(python):
-    packages = [link.name for link in WHEEL.iterdir() if link.is_symlink()]
+    packages = [folder.parent.name for folder in WHEEL.glob("*/__init__.py")]
     done = python(IMPORT_ALL.format(packages=", ".join(packages)))
     assert done.returncode == 0, done.stderr
-
-
-def test_a_loop_runs_and_a_bag_is_read_as_with_ros(python):
-    done = python(RUN.format(bag=str(BAG)))
-    assert done.returncode == 0, done.stderr
-    theta, count = done.stdout.split()
-    plant, lifter, esc = PlantConfig(), LifterConfig(cost="raw"), EscConfig()
-    assert theta == simulate(plant, lifter, esc, None, 2000).theta[-1].hex()
-    with BagReader(BAG) as bag:
-        assert int(count) == bag.topic("/theta").count > 0
 
 
 def test_the_example_of_its_readme_runs(python):
@@ -105,3 +118,37 @@ def test_the_example_of_its_readme_runs(python):
     done = python(SAVE.format(bag=str(BAG)) + example)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("[")
+
+
+def test_its_public_names_are_found_and_its_estimator_is_one_of_scikit_learn(python):
+    done = python(FACADE)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_it_answers_a_recording_as_the_nodes_did_over_dds(python):
+    done = python(GOLDEN.format(run=str(BAG.parent)))
+    assert done.returncode == 0, done.stderr
+
+
+def test_it_seeks_several_inputs_as_the_loop_does():
+    sys.path.append(str(WHEEL))
+    from koop_esc import Seeker
+
+    two = {"theta_initial": (2.0, 1.0), "theta_min": (-5.0, -4.0)}
+    plant, lifter = (
+        PlantConfig(theta_star=(-3.0, 1.0), theta_initial=(2.0, 1.0)),
+        LifterConfig(cost="raw"),
+    )
+    loop = simulate(plant, lifter, EscConfig(**two), None, 2000)
+    seeker = Seeker(plant.dt, **two)
+    assert np.array_equal([seeker.step(r) for r in loop.r], loop.theta)
+
+
+@pytest.mark.parametrize("path", sorted(WHEEL.glob("notebooks/*.ipynb")), ids=lambda p: p.stem)
+def test_a_notebook_runs(path, tmp_path):
+    code = NOTEBOOK.format(wheel=str(WHEEL), path=str(path))
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
