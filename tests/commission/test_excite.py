@@ -59,7 +59,10 @@ def assert_walked(moved, rig):
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
-        ("spike", r"data\[0\] = 99 is beyond its limit 8"),
+        (
+            "spike",
+            r"data\[0\] = 99 is beyond its limit 8 at theta = -\S+: if .* narrow theta_min and",
+        ),
         ("silent", "no message on /fast for 1"),
     ],
 )

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.config.fields import read_field
+from koop_core.config.knobs import format_knobs
 from koop_core.errors import LiveError
 from koop_guard.config import ASKED, THETA
+from koop_guard.guard import Cause
 from koop_node.client.client import Client
 from koop_tune.rig.rig_file import RigFile
 
@@ -101,8 +103,16 @@ class GuardedTheta:
 
     def check(self) -> None:
         """Give a sign of life; raise LiveError if the guard returns theta to theta_safe."""
-        if self._state.status == self._state.TRIPPED:
-            raise LiveError(self._state.reason)
+        state = self._state
+        if state.status == state.TRIPPED:
+            remedy = ""
+            if state.cause == Cause.BEYOND.value:
+                remedy = (
+                    f" at theta = {format_knobs(state.tripped_theta, '.4g')}: if that was its "
+                    "oscillation, narrow theta_min and theta_max until theirs is within, or widen "
+                    "channel_min and channel_max as far as is safe, and choose another --out"
+                )
+            raise LiveError(f"{state.reason}{remedy}")
         if time.monotonic() - self._said > SIGN_OF_LIFE:
             self._say(self._target.data)
 
