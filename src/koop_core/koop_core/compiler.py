@@ -9,11 +9,17 @@ from contextlib import suppress
 from typing import Any, ClassVar
 
 import numba
+from numba.core import ir
 from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 from numba.extending import intrinsic, overload
 
 from koop_core.borrowed import borrowed
+
+# A kernel that is inlined is copied block by block, with all its variables for each: a quarter of
+# the time that a kernel takes to compile. What is copied is used once, and can share them.
+ir.Scope.__deepcopy__ = lambda self, memo: self
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
@@ -23,30 +29,18 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
     wait. They cannot wait for each other, for modules do not import each other.
     """
 
-    locks: ClassVar[dict[str, list[int]]] = {}  # descriptor and depth, by module
+    locks: ClassVar[dict[str, int]] = {}  # descriptors by module
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # memory for arrays: all that a kept kernel needs
-        if (kept := self._load_overload(signature, context)) is not None:
-            return kept
+        kept = self._load_overload(signature, context)
         module = self._py_func.__code__.co_filename
-        if module not in self.locks:
-            self.locks[module] = [os.open(module, os.O_RDONLY), 0]
-            with suppress(OSError):  # not everywhere can files be locked
-                fcntl.flock(self.locks[module][0], fcntl.LOCK_EX)
-        self.locks[module][1] += 1
-        if (kept := self._load_overload(signature, context)) is not None:
-            self._unlock(module)
-        return kept
-
-    def save_overload(self, signature: Any, data: Any) -> None:
-        super().save_overload(signature, data)
-        self._unlock(self._py_func.__code__.co_filename)
-
-    def _unlock(self, module: str) -> None:
-        self.locks[module][1] -= 1
-        if not self.locks[module][1]:
-            os.close(self.locks.pop(module)[0])
+        if kept is not None or module in self.locks:
+            return kept
+        self.locks[module] = os.open(module, os.O_RDONLY)
+        with suppress(OSError):  # not everywhere can files be locked
+            fcntl.flock(self.locks[module], fcntl.LOCK_EX)
+        return self._load_overload(signature, context)
 
 
 def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
@@ -56,6 +50,18 @@ def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> An
     """
     dispatcher = numba.njit(cache=True, **options)(function)
     dispatcher._cache = _Cache(function)
+    compile_it = dispatcher.compile
+
+    def compile_alone(signature: Any) -> Any:
+        with global_compiler_lock:
+            before = set(_Cache.locks)
+            try:
+                return compile_it(signature)
+            finally:  # also where numba gives up or is interrupted
+                for module in _Cache.locks.keys() - before:
+                    os.close(_Cache.locks.pop(module))
+
+    dispatcher.compile = compile_alone
     return dispatcher
 
 

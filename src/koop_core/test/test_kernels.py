@@ -1,5 +1,6 @@
 """Kernels that numba has kept: quick to load, and the same as those that it compiles."""
 
+import fcntl
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -74,6 +75,18 @@ def test_a_kernel_that_was_kept_is_loaded_without_the_compiler(tmp_path):
     assert loaded == "1 False"
     assert result == again == "1.125 [2.0, 2.0, 1.5]"
     assert later == "3.1875 True"  # 1.5 + 1.125 + 0.5625
+
+
+@njit()
+def broken(x):
+    return x + "1"
+
+
+def test_a_kernel_that_cannot_be_compiled_keeps_no_other_process_waiting():
+    with pytest.raises(numba.TypingError):
+        broken(1.0)
+    with open(__file__) as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 class Pair(NamedTuple):
