@@ -224,7 +224,7 @@ class Guard:
             self.note(Cause.BEYOND, violation, now)
         for name, value, meter in zip(config.names, x, self._repeats, strict=False):
             meter.hear(value)
-            if meter.run > meter.longest and meter.run * config.period > self._silence:
+            if meter.run * config.period > self._silence and meter.run > meter.longest:
                 text = f"{name} = {value:.6g} has not changed for {meter.run} samples"
                 self.note(Cause.STUCK, text, now)
 
