@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
+from koop_study.family.knobs import KnobsRig
 from koop_study.family.rig import RandomRig
 from koop_study.family.settings import FAMILY
 from koop_tune.excitation.design import DESIGN, Design
+from koop_tune.excitation.knobs_design import KnobsDesign
 from koop_tune.rig.rig_file import RigFile, state_source
 
 
@@ -25,8 +28,8 @@ class SimulatedExcitation:
 
     Attributes
     ----------
-    theta : ndarray, shape (M,)
-        Control input of each sample.
+    theta : ndarray, shape (M,) or (M, n)
+        Control input of each sample; of n knobs.
     x : ndarray, shape (M, n)
         Measured channels.
     design : Design
@@ -37,7 +40,7 @@ class SimulatedExcitation:
 
     theta: NDArray[np.float64]
     x: NDArray[np.float64]
-    design: Design
+    design: Any
     elapsed: float
 
     @property
@@ -49,7 +52,7 @@ class SimulatedExcitation:
 
 def as_loaded(theta: NDArray[np.float64], x: NDArray[np.float64], dt: float) -> Loaded:
     """Return theta, shape (M,), and channels, shape (M, n), as they are loaded from a bag."""
-    number = np.arange(theta.size)
+    number = np.arange(theta.shape[0])
     time = np.asarray(number * dt, np.float64)
     return Loaded(np.ascontiguousarray(x.T), number == 0, theta, time)
 
@@ -94,14 +97,18 @@ class Running:
         Largest change of theta per second.
     seed : int
         Seed of noise and first phase.
+    knobs : KnobsRig, optional
+        Its knobs, if it has several; theta is then that of each.
     """
 
-    def __init__(self, rig: RandomRig, rate: float, seed: int) -> None:
-        self._rig = rig
+    def __init__(
+        self, rig: RandomRig, rate: float, seed: int, knobs: KnobsRig | None = None
+    ) -> None:
+        self._rig, self._knobs = rig, knobs
         self._most = rate * rig.params.dt
         self._state = rig.initial(seed)
         self._rng = np.random.default_rng([seed, 3])
-        self._theta = rig.theta_initial
+        self._theta = np.asarray(rig.theta_initial if knobs is None else knobs.start)
         self._parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         self.steps = 0
 
@@ -111,21 +118,23 @@ class Running:
         return self.steps * self._rig.params.dt
 
     def _run(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        p = self._rig.params
-        x, amplitude = np.empty((theta.size, self._rig.channels)), np.empty(theta.size)
-        noise = self._rng.standard_normal((theta.size, 2 + self._rig.channels))
-        self._state = oscillator.run(p, self._state, self.steps, theta, noise, x, amplitude)
-        self.steps += theta.size
+        p, count = self._rig.params, theta.shape[0]
+        acts = theta if self._knobs is None else self._knobs.theta(theta)
+        x, amplitude = np.empty((count, self._rig.channels)), np.empty(count)
+        noise = self._rng.standard_normal((count, 2 + self._rig.channels))
+        self._state = oscillator.run(p, self._state, self.steps, acts, noise, x, amplitude)
+        self.steps += count
         self._parts.append((theta, x))
         return x
 
     def hold(self, steps: int) -> NDArray[np.float64]:
         """Run for some samples, and return them."""
-        return self._run(np.full(steps, self._theta))
+        return self._run(np.repeat(self._theta[None], steps, axis=0))
 
-    def go(self, theta: float) -> None:
+    def go(self, theta: ArrayLike) -> None:
         """Move theta."""
-        count = math.ceil(abs(theta - self._theta) / self._most)
+        theta = np.asarray(theta, np.float64)
+        count = math.ceil(np.abs(theta - self._theta).max() / self._most)
         if count:
             way = np.linspace(self._theta, theta, count + 1)[1:]
             self._run(np.asarray(way, np.float64))
@@ -137,15 +146,18 @@ class Running:
         return np.concatenate(theta), np.concatenate(x)
 
 
-def excite(rig: RandomRig, file: RigFile, seed: int) -> SimulatedExcitation:
-    """Excite a rig until the static map is known or the time is over.
+def excite(
+    rig: RandomRig, file: RigFile, seed: int, knobs: KnobsRig | None = None
+) -> SimulatedExcitation:
+    """Excite a rig, which may have several knobs, until the static map is known or time is over.
 
     Raises
     ------
     ValueError
         If no channel moves.
     """
-    design, running = Design(file), Running(rig, file.theta_rate, seed)
+    design: Design | KnobsDesign = Design(file) if knobs is None else KnobsDesign(file)
+    running = Running(rig, min(file.each("theta_rate")), seed, knobs)
     heard = running.hold(math.ceil(DESIGN.shortest / file.dt))
     while design.listens(heard):
         more = max(0.2 * DESIGN.shortest / file.dt, FAMILY.often * heard.shape[0])
@@ -158,13 +170,14 @@ def excite(rig: RandomRig, file: RigFile, seed: int) -> SimulatedExcitation:
     return SimulatedExcitation(*running.recorded(), design, running.elapsed)
 
 
-def _go_on(design: Design, running: Running) -> bool:
+def _go_on(design: Any, running: Running) -> bool:
     """Excite until enough is known; return False if the time is over."""
-    scale, time = design.rig.scale, design.rig.time
+    time, knobs = design.rig.time, design.rig.knobs()
     while (move := design.next()) is not None:
         for u in (move.via, move.u):
             if u is not None:
-                running.go(scale.theta_at(u))
+                theta = [k.scale.theta_at(v) for k, v in zip(knobs, np.atleast_1d(u), strict=True)]
+                running.go(theta if len(knobs) > 1 else theta[0])
         design.arrive(move, running.elapsed, running.steps)
         while not design.take(running.hold(design.windows.length)):
             if running.elapsed > time:

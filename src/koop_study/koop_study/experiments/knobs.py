@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError
 from koop_study.experiments.seeds import Seeds
 from koop_study.experiments.stats import quantile
+from koop_study.family.config import FamilyConfig
 from koop_study.simulation.case import case_of
 from koop_study.workers.units import Unit
 from koop_view.report.document import Column, Section, Table
 
+GOOD = 1.5  # amplitude over the best
 CONVERGED = 0.6  # |e| at the end, from 5: as in the tests of the paper's loop
 MAP_COLUMNS = (
     Column("knobs", "knobs"),
@@ -23,6 +27,18 @@ MAP_COLUMNS = (
     Column("amplitude_p90", "90 %", ".2f"),
     Column("within", "within 1.5 [%]", ".0f"),
     Column("arrival", "dwell times until then, median", ".0f"),
+)
+COMMISSION_COLUMNS = (
+    Column("knobs", "knobs"),
+    Column("condition", "condition", ".0f"),
+    Column("useless", "one does nothing"),
+    Column("time", "time of the excitation [T], median", ".0f"),
+    Column("holds", "holds, median", ".0f"),
+    Column("held", "best hold within 1.5 of the best [%]", ".0f"),
+    Column("tuned", "tuned [%]", ".0f"),
+    Column("within", "loops within 1.5 from both corners, of the tuned [%]", ".0f"),
+    Column("damped", "called damped [%]", ".0f"),
+    Column("false", "falsely", "d"),
 )
 PLANT_COLUMNS = (
     Column("knobs", "knobs"),
@@ -53,6 +69,75 @@ SOURCES = {
 
 
 @dataclass(frozen=True)
+class Commissioned:
+    """Rigs that are commissioned, and how.
+
+    Attributes
+    ----------
+    seeds : Seeds
+        Seeds of every row.
+    knobs : tuple of int
+        Numbers of knobs.
+    conditions : tuple of float
+        Condition numbers of their couplings.
+    family : dict
+        Settings of the rigs' family.
+    rate, excitation, duration, effort : float
+        As of :class:`koop_study.experiments.commission.CommissionConfig`, the times for each knob.
+    """
+
+    seeds: Seeds
+    knobs: tuple[int, ...]
+    conditions: tuple[float, ...]
+    family: dict[str, Any]
+    rate: float
+    excitation: float
+    duration: float
+    effort: float
+
+    def __post_init__(self) -> None:
+        parse(FamilyConfig, self.family, "family")
+
+    def rigs(self) -> list[tuple[int, float, bool]]:
+        """Return knobs, condition and whether one does nothing, of each row."""
+        return several(self.knobs, self.conditions)
+
+    def units(self) -> list[Unit]:
+        """Return one unit a rig."""
+        names = ("family", "rate", "excitation", "duration", "effort")
+        same = {name: getattr(self, name) for name in names}
+        return [
+            Unit("commission_knobs",
+                 {"n": n, "condition": condition, "useless": useless, "seed": seed, **same})
+            for n, condition, useless in self.rigs()
+            for seed in self.seeds.list()
+        ]  # fmt: skip
+
+    def table(self, results: list[Any]) -> Table:
+        """Return what became of the rigs."""
+        count = self.seeds.count
+        table = Table(
+            "knobs_commission", f"Random rigs with several knobs commissioned, {count} of each",
+            COMMISSION_COLUMNS,
+        )  # fmt: skip
+        for i, (n, condition, useless) in enumerate(self.rigs()):
+            rows = results[i * count : (i + 1) * count]
+            tuned = [row for row in rows if "ratio" in row]
+            within = [max(row["ratio"]) <= GOOD for row in tuned]
+            damped = [row["damped"] for row in tuned]
+            table.rows.append((
+                str(n), condition, "yes" if useless else "no",
+                quantile([row["excited"] for row in rows], 0.5),
+                quantile([row["holds"] for row in rows], 0.5),
+                100.0 * float(np.mean([row["held"] <= GOOD for row in rows])),
+                100.0 * len(tuned) / count, 100.0 * sum(within) / max(len(tuned), 1),
+                100.0 * sum(damped) / count,
+                sum(said and not true for said, true in zip(damped, within, strict=True)),
+            ))  # fmt: skip
+        return table
+
+
+@dataclass(frozen=True)
 class KnobsConfig:
     """What is run.
 
@@ -68,6 +153,8 @@ class KnobsConfig:
         Length of a run on a random rig in dwell times.
     plant_knobs : tuple of int
         Numbers of knobs of the paper's plant.
+    commissioned : Commissioned or None
+        Random rigs that are commissioned as well.
     settings : dict
         Settings of its loop.
     yardsticks : tuple of str
@@ -81,6 +168,7 @@ class KnobsConfig:
     plant_knobs: tuple[int, ...]
     settings: dict[str, Any] = field(default_factory=dict)
     yardsticks: tuple[str, ...] = tuple(SOURCES)
+    commissioned: Commissioned | None = None
 
     def __post_init__(self) -> None:
         for n in (*self.knobs, *self.plant_knobs):
@@ -96,14 +184,13 @@ class KnobsConfig:
 
     def maps(self) -> list[tuple[int, float, bool]]:
         """Return knobs, condition and whether one does nothing, of each row."""
-        several = [
-            (n, condition, useless)
-            for n in self.knobs
-            for condition in self.conditions
-            for useless in (False, True)
-            if n > 1
-        ]
-        return [(n, 1.0, False) for n in self.knobs if n == 1] + several
+        one = [(n, 1.0, False) for n in self.knobs if n == 1]
+        return one + several(self.knobs, self.conditions)
+
+
+def several(knobs: Sequence[int], conditions: Sequence[float]) -> list[tuple[int, float, bool]]:
+    """Return knobs, condition and whether one does nothing, of every kind of rig with several."""
+    return [(n, c, no) for n in knobs if n > 1 for c in conditions for no in (False, True)]
 
 
 def units(config: KnobsConfig) -> list[Unit]:
@@ -118,7 +205,7 @@ def units(config: KnobsConfig) -> list[Unit]:
         for n in config.plant_knobs
     ] + [
         Unit("seek_yardstick", {"name": name, "seeds": seeds}) for name in config.yardsticks
-    ]  # fmt: skip
+    ] + (config.commissioned.units() if config.commissioned else [])  # fmt: skip
 
 
 def section(config: KnobsConfig, results: list[Any]) -> Section:
@@ -132,7 +219,7 @@ def section(config: KnobsConfig, results: list[Any]) -> Section:
     for (n, condition, useless), rows in zip(cases, results[: len(cases)], strict=True):
         amplitude = [row["amplitude"] for row in rows]
         arrival = [np.inf if row["arrival"] is None else row["arrival"] for row in rows]
-        within = 100.0 * float(np.mean(np.array(amplitude) <= 1.5))
+        within = 100.0 * float(np.mean(np.array(amplitude) <= GOOD))
         maps.rows.append((
             str(n), condition, "yes" if useless else "no", quantile(amplitude, 0.5),
             quantile(amplitude, 0.9), within, quantile(arrival, 0.5),
@@ -145,8 +232,9 @@ def section(config: KnobsConfig, results: list[Any]) -> Section:
             str(n), quantile(iae, 0.5), quantile(iae, 0.9), quantile(distance, 0.5), max(distance),
             converged,
         ))  # fmt: skip
+    rest = rest[len(config.plant_knobs) :]
     others = Table("knobs_yardsticks", "Maps by which others have measured", YARDSTICK_COLUMNS)
-    for name, rows in zip(config.yardsticks, rest[len(config.plant_knobs) :], strict=True):
+    for name, rows in zip(config.yardsticks, rest, strict=False):
         samples = [np.inf if row["samples"] is None else row["samples"] for row in rows]
         others.rows.append((
             name, quantile(samples, 0.5), quantile(samples, 0.9),
@@ -154,8 +242,11 @@ def section(config: KnobsConfig, results: list[Any]) -> Section:
             quantile([row["travel"] for row in rows], 0.5),
             quantile([row["cost"] for row in rows], 0.5), SOURCES[name],
         ))  # fmt: skip
+    tables = [maps, plant, others]
+    if config.commissioned:
+        tables.append(config.commissioned.table(rest[len(config.yardsticks) :]))
     text = (
         "The controller seeks along one direction after another (relay_esc/directions.py). The "
         "knobs are coupled, and of unequal worth by the condition number."
     )
-    return Section("knobs", "Several knobs", text, [maps, plant, others], [])
+    return Section("knobs", "Several knobs", text, tables, [])

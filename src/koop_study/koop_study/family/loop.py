@@ -13,6 +13,7 @@ from koop_core.borrowed import borrowed
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from koop_study.family import oscillator
+from koop_study.family.knobs import KnobsRig, acting
 from koop_study.family.oscillator import RigParams, RigState
 from koop_study.family.rig import RandomRig
 from koop_study.family.settings import FAMILY
@@ -20,9 +21,10 @@ from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import DetectorParams, Lifting, Workspace
 from koopman_lifter.model import KoopmanModel
-from relay_esc import relay
+from relay_esc import directions
 from relay_esc.config import EscConfig
-from relay_esc.relay import RelayParams, RelayState
+from relay_esc.directions import DirectionState, Knobs
+from relay_esc.relay import RelayParams
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class ClosedRun(NamedTuple):
     x : ndarray, shape (M, n)
         Measured channels.
     theta : ndarray, shape (M,)
-        The controller's.
+        The controller's; of n knobs (M, n).
     """
 
     ratio: float
@@ -110,18 +112,29 @@ def from_end(rig: RandomRig, end: int) -> RandomRig:
     return replace(rig, theta_initial=rig.params.theta_max if end else rig.params.theta_min)
 
 
-def close(rig: RandomRig, controller: RigController, noise: RunNoise, seed: int) -> ClosedRun:
-    """Close the loop on a rig that has settled at its first theta."""
-    p, esc = rig.params, replace(controller.esc, theta_initial=rig.theta_initial)
+def close(
+    rig: RandomRig, controller: RigController, noise: RunNoise, seed: int,
+    knobs: KnobsRig | None = None,
+) -> ClosedRun:  # fmt: skip
+    """Close the loop on a rig that has settled at its first theta; of several knobs, where it is.
+
+    Of a rig with several knobs ``rig`` is what its theta leads to; the controller begins at its
+    ``theta_initial``.
+    """
+    p, esc = rig.params, controller.esc
+    m, best = (np.zeros((1, 1)), np.zeros(1)) if knobs is None else (knobs.m, knobs.best)
+    if knobs is None:
+        esc = replace(esc, theta_initial=rig.theta_initial)
     model = controller.model
     lifting = cost.no_lifting() if model is None else model.lifting()
     source = cost.RAW if model is None else cost.LIFTED
     power, excess = np.empty(FAMILY.blocks), np.empty(FAMILY.blocks)
     steps = noise.numbers.shape[0]
-    x, theta = np.empty((steps, rig.channels)), np.empty(steps)
+    x, theta = np.empty((steps, rig.channels)), np.empty((steps, esc.count))
     _close(
         exposed(p), source, lifting, cost.workspace(lifting), controller.lifter.detector_params(),
-        esc.params(p.dt), esc.initial(), rig.initial(seed), noise.numbers, power, excess, x, theta,
+        esc.knob(0).params(p.dt), esc.knob_limits(p.dt), esc.initial_directions(), m, best,
+        rig.initial(seed), noise.numbers, power, excess, x, theta,
     )  # fmt: skip
     ratio = math.sqrt(float(power[FAMILY.blocks // 2 :].mean())) / noise.best
     inside = np.flatnonzero(excess <= math.log(FAMILY.good))
@@ -129,7 +142,7 @@ def close(rig: RandomRig, controller: RigController, noise: RunNoise, seed: int)
         ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9),
         float(inside[0] + 1) / FAMILY.blocks if inside.size else 2.0,
         x,
-        theta,
+        theta if esc.count > 1 else theta[:, 0],
     )
 
 
@@ -140,8 +153,11 @@ def _close(
     lifting: Lifting,
     work: Workspace,
     detector: DetectorParams,
-    limits: RelayParams,
-    command: RelayState,
+    relay: RelayParams,
+    limits: Knobs,
+    command: DirectionState,
+    m: NDArray[np.float64],
+    best: NDArray[np.float64],
     state: RigState,
     noise: NDArray[np.float64],
     power: NDArray[np.float64],
@@ -165,10 +181,14 @@ def _close(
         r, _, settling, cost_state = cost.answer(
             source, lifting, detector, cost_state, arrival, k + 1, x, work
         )
-        command, _, _ = relay.answer(limits, command, arrival, False, settling, r, False)
-        theta[k] = command.output
+        command, _, _ = directions.answer(
+            relay, limits, command, arrival, False, settling, r, False
+        )
+        for j in range(theta.shape[1]):
+            theta[k, j] = command.theta[j]
+        acts = theta[k, 0] if theta.shape[1] == 1 else acting(p, m, best, command.theta)
         power[i] += oscillator.energy(state) * share
         if k % FAMILY.every == 0:
-            settled = oscillator.level(p, oscillator.acting(p, state, command.output), k * p.dt)
+            settled = oscillator.level(p, oscillator.acting(p, state, acts), k * p.dt)
             excess[i] += p.sense * math.log(settled / p.level) * share * FAMILY.every
-        state = oscillator.step(p, state, k, command.output, noise[k, 0], noise[k, 1])
+        state = oscillator.step(p, state, k, acts, noise[k, 0], noise[k, 1])

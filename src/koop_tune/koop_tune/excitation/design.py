@@ -122,6 +122,12 @@ class Design:
         How samples were cut before.
     settings : DesignSettings
         Thresholds.
+    after : Design, optional
+        That of another knob before: its windows and patience, and what was heard, go on.
+    others : sequence of Hold
+        Holds elsewhere, which count for what is summed.
+    first : sequence of float, optional
+        First positions, in place of those over the whole range.
 
     Attributes
     ----------
@@ -145,15 +151,18 @@ class Design:
         holds: Sequence[Hold] = (),
         windows: Windows | None = None,
         settings: DesignSettings = DESIGN,
+        after: Design | None = None,
+        others: Sequence[Hold] = (),
+        first: Sequence[float] | None = None,
     ) -> None:
-        self.rig, self._settings = rig, settings
-        self.holds = list(holds)
-        self.windows = windows or Windows(64, rig.dt)
+        self.rig, self._settings, self._first = rig, settings, first
+        self.holds, self._others = list(holds), list(others)
+        self.windows: Windows = windows or (after.windows if after else Windows(64, rig.dt))
         self.amplitude: Amplitude | None = None
         self.period = math.inf
         self.ended = ""
         self.since = 0.0
-        self._heard: Hold | None = None
+        self._heard: Hold | None = after._heard if after else None
         self._hold = Hold(rig.u_start, 0, np.empty((0, len(rig.names))))
         self._growth = self._brief = False
         self._usual, self._target, self._best = 0.0, settings.error, math.inf
@@ -161,7 +170,8 @@ class Design:
         self._least = self._most = self._next = settings.fewest
         up = rig.u_start <= 0.5
         self._queue = self._missing(up)
-        self._rounds, self._longest, self._patience, self._elapsed = 1, 0, 1.0, 0.0
+        self._rounds, self._longest, self._elapsed = 1, 0, 0.0
+        self._patience: float = after._patience if after else 1.0
         self._most_lag = 1.0
         self._check_lag = len(self._queue) == 2 * settings.first - 1
         self._choose()
@@ -219,15 +229,19 @@ class Design:
             return None
         return move
 
-    def _choose_move(self) -> Move | None:
-        s = self._settings
+    def next_first(self) -> Move | None:
+        """Return where theta goes next over the range; None once it was everywhere there."""
         self._growth = self._brief = False
         if not self._queue and self._check_lag and self._lags():
             self._patience *= 2.0
             self._check_lag = True
             self._begin_again(self.windows.length)
-        if self._queue:
-            return Move(self._queue[0], why="over the range")
+        return Move(self._queue[0], why="over the range") if self._queue else None
+
+    def _choose_move(self) -> Move | None:
+        s = self._settings
+        if (move := self.next_first()) is not None:
+            return move
         static_map = None if self.amplitude is None else self.static_map()
         if static_map is None:
             if self._rounds == 1 and (gap := self._gap(self.holds[-1].u)) is not None:
@@ -242,7 +256,7 @@ class Design:
         if static_map.flat:
             if gap is not None:
                 return Move(gap, why=GAP)
-            self._queue = first_positions(s.first, self.holds[-1].u < 0.5)
+            self._queue = self._positions(self.holds[-1].u < 0.5)
             return Move(self._queue[0], why="again: errors hide the map")
         grid = static_map.grid[::4]
         held = (np.abs(static_map.u[:, None] - grid) < s.finest).sum(axis=0)
@@ -308,7 +322,11 @@ class Design:
     def _missing(self, up: bool) -> list[float]:
         """Return the first positions at which there is no hold."""
         held, s = np.array([hold.u for hold in self.holds]), self._settings
-        return [u for u in first_positions(s.first, up) if not (np.abs(held - u) < s.passed).any()]
+        return [u for u in self._positions(up) if not (np.abs(held - u) < s.passed).any()]
+
+    def _positions(self, up: bool) -> list[float]:
+        """Return the first positions."""
+        return first_positions(self._settings.first, up) if self._first is None else [*self._first]
 
     def _slower(self) -> int | None:
         """Return the samples of windows in which something slower reacts than these resolve."""
@@ -520,7 +538,7 @@ class Design:
 
     def _choose(self) -> None:
         """Choose what is summed, and the windows for it, from all holds so far."""
-        holds = [*([self._heard] if self._heard else []), *self.holds]
+        holds = [*([self._heard] if self._heard else []), *self._others, *self.holds]
         holds = [hold for hold in holds if hold.size >= 2 * self.windows.length]
         if len(holds) < 2:
             return

@@ -51,6 +51,11 @@ class RigFile(RigLimits):
         if self.weights and not (min(self.weights) >= 0.0 < max(self.weights)):
             raise ConfigError(f"weights = {list(self.weights)}: none is below 0, one is above 0")
 
+    def knob(self, i: int, **others: Any) -> RigFile:
+        """Return the rig file of one knob alone, with ``others`` changed."""
+        fields_of = [Source(c.topic, (path,)) for c in self.commands for path in c.fields]
+        return super().knob(i, **{"command": str(fields_of[i]), **others})
+
     @property
     def measured_source(self) -> Source:
         """Topic, by its full name, and fields of the measured channels."""

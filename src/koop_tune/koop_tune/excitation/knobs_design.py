@@ -1,0 +1,297 @@
+"""What an excitation decides where a rig has several knobs: sections, and a bowl between them.
+
+1. Each knob in turn goes over its range, the others where the best was seen so far.
+2. A knob without effect is named, and stays at its start.
+3. Two holds to either side of each pair of knobs tell how they are coupled: at the least of the
+   bowl that fits all holds (:mod:`koop_tune.excitation.bowl`) theta is held, until none is better.
+4. Through the best, each knob's section is found out as that of a rig with one knob
+   (:class:`koop_tune.excitation.design.Design`). Steps 3 and 4 are repeated while the best moves.
+
+The holds grow with n^2, not exponentially. A valley off all of these lines is not found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.config.parameter import Settings, judged
+from koop_tune.excitation.amplitude import Amplitude, Windows
+from koop_tune.excitation.bowl import Bowl, fit_bowl, pairs
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, Design, DesignSettings, Move
+from koop_tune.excitation.holds import Hold, Level, usual_wander
+from koop_tune.excitation.static_map import StaticMap
+from koop_tune.rig.rig_file import RigFile
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KnobsSettings(Settings):
+    """When the coupling of knobs is known."""
+
+    gain: float = judged(
+        0.1, "log amplitude that the bowl's least must gain to be held at", low=0.0
+    )
+    steps: int = judged(4, "holds at it for each knob, at most", low=1)
+    cycles: int = judged(2, "times that the sections are found out, at most", low=1)
+    away: float = judged(2.0, "amplitude over the best beside a section's best, at first", low=1.0)
+    least: float = judged(0.03, "distance of these, at least, in ranges", low=1e-3, high=0.5)
+    most: float = judged(0.3, "the same at most", low=1e-3, high=0.5)
+    same: float = judged(0.004, "distance of two holds at one place, in ranges", low=0.0)
+    gap: float = judged(0.2, "widest gap between two holds of a section, in ranges", low=0.0)
+
+
+KNOBS = KnobsSettings()
+
+
+class KnobsMove(NamedTuple):
+    """Where theta goes: positions of the next hold, of one to pass on the way, and why."""
+
+    u: Array
+    via: Array | None = None
+    why: str = ""
+
+
+class KnobsDesign:
+    """The decisions of an excitation of several knobs; it is used as a :class:`Design` is.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig.
+    settings : KnobsSettings
+        Thresholds.
+    of_section : DesignSettings
+        Those of a section.
+
+    Attributes
+    ----------
+    rig : RigFile
+        The rig; its time may be set longer.
+    ended : str
+        As a Design's.
+    sections : dict of int to list of Hold
+        Holds of each knob that has an effect through the best, their ``u`` the knob's position.
+    lines : dict of int to ndarray, shape (n,)
+        A position of each of these sections.
+    since : float
+        As a Design's: all count.
+    base : ndarray, shape (n,)
+        The best position so far.
+    """
+
+    def __init__(
+        self, rig: RigFile, settings: KnobsSettings = KNOBS, of_section: DesignSettings = DESIGN
+    ) -> None:
+        self.rig, self.ended = rig, ""
+        self.sections: dict[int, list[Hold]] = {}
+        self.lines: dict[int, Array] = {}
+        self.since = 0.0
+        self.base = self._start = np.array([knob.u_start for knob in rig.knobs()])
+        self._useful = list(range(rig.count))
+        self._settings, self._of_section = settings, replace(of_section, gap=settings.gap)
+        self._done: list[tuple[Hold, Array]] = []
+        self._section = 0
+        self._design = Design(rig.knob(0), settings=self._of_section)
+        self._moves = self._plan()
+        self.listens, self.look = self._design.listens, self._design.look
+
+    @property
+    def windows(self) -> Windows:
+        """How samples are cut."""
+        return self._design.windows
+
+    @property
+    def amplitude(self) -> Amplitude | None:
+        """What is summed; None until something reacts."""
+        return self._design.amplitude
+
+    @property
+    def held(self) -> list[tuple[Hold, Array]]:
+        """Finished holds, each with its positions."""
+        own = [(hold, self._at(hold.u)) for hold in self._design.holds]
+        return [item for item in (*self._done, *own) if self._is_long(item[0])]
+
+    def _is_long(self, hold: Hold) -> bool:
+        """Return whether a hold is long enough for the windows of now."""
+        return hold.size >= self._of_section.brief * self.windows.length
+
+    def levels(self) -> list[Level]:
+        """Return the level of each of them."""
+        return self._levels_of([hold for hold, _ in self.held])
+
+    def _levels_of(self, holds: Sequence[Hold]) -> list[Level]:
+        amplitude = self.amplitude
+        assert amplitude is not None, "nothing reacts"
+        wander = usual_wander([hold.level(amplitude).wander for hold in holds])
+        return [hold.level(amplitude, wander) for hold in holds]
+
+    def next(self) -> KnobsMove | None:
+        """Return where theta goes next; None once enough is known."""
+        return next(self._moves, None)
+
+    def arrive(self, move: KnobsMove, elapsed: float, begin: int = -1) -> None:
+        """As :meth:`Design.arrive`."""
+        self._design.rig = self._rig_of(self._section)
+        via = None if move.via is None else float(move.via[self._section])
+        self._design.arrive(Move(float(move.u[self._section]), via, move.why), elapsed, begin)
+
+    def take(self, x: Array) -> bool:
+        """As :meth:`Design.take`."""
+        return self._design.take(x)
+
+    def section(self, knob: int) -> StaticMap:
+        """Return the map over one knob through the best."""
+        holds = list(filter(self._is_long, self.sections[knob]))
+        levels = self._levels_of(holds)
+        return StaticMap(
+            np.array([hold.u for hold in holds]), np.array([level.mean for level in levels]),
+            np.array([level.error for level in levels]), self.rig.sense,
+        )  # fmt: skip
+
+    # -- where theta goes -----------------------------------------------------------------------
+
+    def _plan(self) -> Iterator[KnobsMove]:
+        knobs = range(self.rig.count)
+        lines: dict[int, list[Hold]] = {knob: [] for knob in knobs}
+        for knob in (*knobs, *knobs):  # again where windows became longer meanwhile
+            if sum(map(self._is_long, lines[knob])) < self._of_section.first:
+                yield from self._along(knob, whole=False)
+                lines[knob] = self._design.holds
+                self._move_base()
+        if self.amplitude is None:
+            self.ended = FLAT
+            return
+        self.sections = lines
+        self._useful = [knob for knob in knobs if not self.section(knob).flat]
+        if not self._useful:
+            self.ended = FLAT
+            return
+        self._move_base()
+        way = {knob: self._width(knob) for knob in self._useful}
+        for a, b in pairs(self._useful):
+            for side in (1.0, -1.0):
+                place = self._beside({a: way[a], b: side * way[b]})
+                yield from self._hold_at(place, "how two knobs are coupled")
+        self.sections = {}
+        for _ in range(self._settings.cycles):
+            yield from self._descend()
+            for knob in self._useful:
+                width = self._half_width(knob)
+                first = [self.base[knob] + share * width for share in (-1.0, -0.5, 0.5, 1.0)]
+                yield from self._along(knob, [u for u in first if 0.0 <= u <= 1.0])
+                self.sections[knob], self.lines[knob] = self._design.holds, self.base
+                self._move_base()
+            if self._least_of_bowl() is None:
+                break
+        self.ended = KNOWN
+
+    def _along(
+        self, knob: int, first: Sequence[float] | None = None, whole: bool = True
+    ) -> Iterator[KnobsMove]:
+        """Find out a section through the base; or only go to the first positions."""
+        others, on = np.arange(self.base.size) != knob, []
+        held, self._done = self.held, []
+        for hold, u in held:
+            if np.abs(u - self.base)[others].max() > self._settings.same:
+                self._done.append((hold, u))
+                continue
+            on.append(copy(hold))
+            on[-1].u, on[-1].confirms = float(u[knob]), False
+        self._begin(knob, on, first)
+        choose = self._design.next if whole else self._design.next_first
+        while (move := choose()) is not None:
+            via = None if move.via is None else self._at(move.via)
+            yield KnobsMove(self._at(move.u), via, move.why)
+
+    def _begin(self, knob: int, holds: Sequence[Hold], first: Sequence[float] | None) -> None:
+        """Begin to decide about a knob, all holds elsewhere known."""
+        self._section = knob
+        if self._done or holds:  # else it is the first, which knows what was heard
+            self._design = Design(
+                self._rig_of(knob), holds, None, self._of_section, self._design,
+                [hold for hold, _ in self._done], first,
+            )  # fmt: skip
+
+    def _rig_of(self, knob: int) -> RigFile:
+        """Return the rig with one knob, which starts at the base."""
+        rig = self.rig.knob(knob)
+        theta = rig.scale.theta_at(float(self.base[knob]))
+        return self.rig.knob(knob, theta_start=min(max(theta, rig.theta_min), rig.theta_max))
+
+    def _at(self, u: float) -> Array:
+        """Return the base with the position of the section's knob in its place."""
+        place = self.base.copy()
+        place[self._section] = u
+        return place
+
+    def _hold_at(self, u: Array, why: str) -> Iterator[KnobsMove]:
+        """Hold once at some place."""
+        self._done = self.held
+        self._begin(self._section, (), ())
+        yield KnobsMove(u, None, why)
+        self._done += [(hold, u) for hold in self._design.holds]
+        self._design.holds = []
+        self._move_base()
+
+    def _table(self) -> tuple[Array, Array, Array]:
+        """Return positions, y and errors of all holds."""
+        levels = self.levels()
+        y = self.rig.sense * np.array([level.mean for level in levels])
+        return np.array([u for _, u in self.held]), y, np.array([level.error for level in levels])
+
+    def _move_base(self) -> None:
+        """Make the best hold the base; knobs without effect rest at their start."""
+        self._done, self._design.holds = self.held, []
+        if self.amplitude is not None:
+            u, y, error = self._table()
+            useful = np.isin(np.arange(self.base.size), self._useful)
+            self.base = np.where(useful, u[np.argmin(y + error)], self._start)
+
+    def _beside(self, ways: dict[int, float]) -> Array:
+        """Return a place away from the base along some knobs, towards the middle of the range."""
+        place = self.base.copy()
+        for knob, way in ways.items():
+            place[knob] += way if place[knob] < 0.5 else -way
+        return np.clip(place, 0.0, 1.0)
+
+    def _width(self, knob: int) -> float:
+        """Return half the width of a knob's section where it is away times its best."""
+        s = self._settings
+        return min(max(0.5 * self.section(knob).valley(s.away).width, s.least), s.most)
+
+    def _half_width(self, knob: int) -> float:
+        """Return how far from the base, along a knob, the bowl is away times that there."""
+        s, bowl, base = self._settings, self._bowl(), self.base[self._useful]
+        widths = np.linspace(s.least, s.most, 28)
+        way = np.eye(base.size)[self._useful.index(knob)]
+        y = np.minimum(*(bowl.log(base + side * widths[:, None] * way) for side in (-1.0, 1.0)))
+        beyond = widths[y > bowl.log(base[None]) + math.log(s.away)]
+        return float(beyond[0]) if beyond.size else s.most
+
+    def _bowl(self) -> Bowl:
+        u, y, error = self._table()
+        return fit_bowl(u[:, self._useful], y, error)
+
+    def _least_of_bowl(self) -> Array | None:
+        """Return the place of the bowl's least; None where it gains nothing."""
+        u, y, _ = self._table()
+        bowl = self._bowl()
+        place = self.base.copy()
+        place[self._useful] = bowl.best
+        gain = float(y.min()) - float(bowl.log(bowl.best[None])[0])
+        near = float(np.abs(u - place).max(axis=1).min())
+        return place if gain > self._settings.gain and near > self._settings.same else None
+
+    def _descend(self) -> Iterator[KnobsMove]:
+        for _ in range(self._settings.steps * len(self._useful)):
+            if (place := self._least_of_bowl()) is None:
+                return
+            yield from self._hold_at(place, "the least of the bowl that fits all holds")

@@ -1,0 +1,205 @@
+"""A controller of several knobs, from the sections of their static map through the best.
+
+The search is that of one knob, on the section that shows the optimum best. The others follow from
+their limits: in units of the way between its limits each section rises alike, to the same factor of
+the best at both of them, so all knobs cross that way in the same time. The controller seeks along
+one direction after another (:mod:`relay_esc.directions`), so it takes as many times as long.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_identify.model.energies import energies
+from koop_identify.model.from_bags import BagTraining
+from koop_identify.recording.loaded import Loaded
+from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.knobs_design import KNOBS
+from koop_tune.excitation.static_map import StaticMap
+from koop_tune.result.summary import summarise
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig_model.dwells import Dwells, find_dwells
+from koop_tune.rig_model.surrogate import high_pass
+from koop_tune.search.agreement import Aim
+from koop_tune.search.findings import CostMaps, NoOptimum
+from koop_tune.search.limits import ThetaLimits, limit_theta
+from koop_tune.search.prediction import Band, Prediction
+from koop_tune.search.run import make_esc, round_digits
+from koop_tune.search.settings import TUNING, TuningSettings
+from koop_tune.search.tuning import Tuning, tune
+from relay_esc.config import EscConfig
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KnobsTuning:
+    """A controller of several knobs.
+
+    Attributes
+    ----------
+    rig : RigFile
+        The rig.
+    knob : int
+        That of the section on which the constants were searched.
+    tuning : Tuning
+        The search.
+    sections : dict of int to StaticMap
+        Map over each knob that has an effect, through the best.
+    limits : list of ThetaLimits
+        Of each knob; of one without effect, close around its start.
+    esc : EscConfig
+        The controller.
+    """
+
+    rig: RigFile
+    knob: int
+    tuning: Tuning
+    sections: dict[int, StaticMap]
+    limits: list[ThetaLimits]
+    esc: EscConfig
+
+    @property
+    def useless(self) -> list[str]:
+        """Names of the knobs that have no effect; they rest."""
+        names = enumerate(self.rig.knob_names)
+        return [name for k, name in names if k not in self.sections]
+
+    def make_aims(self) -> dict[int, Aim]:
+        """Return, for each knob with an effect, the figures that a loop is compared with.
+
+        One direction after another is sought along: all takes as many times as long, and what each
+        adds to the amplitude adds up. From inside the limits no reduction is predicted.
+        """
+        own = self.rig.knob(self.knob)
+        aim, n = summarise(self.tuning, own, None).make_aim(own), len(self.sections)
+        p = aim.predicted
+        predicted = Prediction(
+            _scaled(p.converges, n), p.distance, _power(p.excess, n), Band(0.0, 1.0, math.inf),
+            n * p.duration, p.runs,
+        )  # fmt: skip
+        aims = {}
+        for k, section in self.sections.items():
+            scale, valley, limits = self.rig.knob(k).scale, section.valley(), self.limits[k]
+            low, high = scale.theta_at(valley.low), scale.theta_at(valley.high)
+            inside = (min(low, limits.low), max(high, limits.high))
+            theta = scale.theta_at(section.best())
+            aims[k] = replace(aim, scale=scale, theta=theta, valley=inside, predicted=predicted)
+        return aims
+
+
+def _scaled(band: Band, factor: float) -> Band:
+    return Band(factor * band.low, factor * band.middle, factor * band.high)
+
+
+def _power(band: Band, n: int) -> Band:
+    return Band(band.low**n, band.middle**n, band.high**n)
+
+
+def tune_knobs(
+    loaded: Loaded, rig: RigFile, lines: Mapping[int, Array], training: BagTraining,
+    amplitude: Amplitude, settings: TuningSettings = TUNING,
+) -> KnobsTuning:  # fmt: skip
+    """Choose the cost and all constants of a controller with several knobs.
+
+    Parameters
+    ----------
+    loaded : Loaded
+        The excitation; its theta has the shape (M, n).
+    rig : RigFile
+        Limits, rates, objective, dt.
+    lines : mapping of int to ndarray, shape (n,)
+        A position of the section of each knob that has an effect.
+    training, amplitude, settings
+        As of :func:`koop_tune.search.tuning.tune`.
+
+    Raises
+    ------
+    NoOptimum
+        If there is no optimum to seek, or the cost does not lead to that of a knob.
+    """
+    parts = {k: cut_section(loaded, rig, k, line) for k, line in lines.items()}
+    dwells = {k: find_dwells(part, rig.knob(k).scale, amplitude) for k, part in parts.items()}
+    sections = {k: d.static_map(d.logs, rig.sense) for k, d in dwells.items()}
+    knob = max(sections, key=lambda k: sections[k].evidence)
+    tuning = tune(parts[knob], rig.knob(knob), training, amplitude, settings)
+    for k in sections:
+        if k != knob:
+            _refuse_astray(tuning, parts[k], dwells[k], sections[k], rig.knob_names[k], settings)
+    sections[knob] = tuning.findings.static_map
+    limits = [
+        limit_theta(sections[k], rig.knob(k), settings) if k in sections else _rest(rig.knob(k))
+        for k in range(rig.count)
+    ]
+    limits[knob] = tuning.findings.limits
+    return KnobsTuning(rig, knob, tuning, sections, limits, _make_esc(tuning, rig, knob, limits))
+
+
+def cut_section(loaded: Loaded, rig: RigFile, knob: int, line: Array) -> Loaded:
+    """Return the parts of a recording in which all other knobs were where the section is."""
+    assert loaded.theta is not None
+    away = [
+        np.abs(one.scale.u(loaded.theta[:, k]) - line[k])
+        for k, one in enumerate(rig.knobs()) if k != knob
+    ]  # fmt: skip
+    on = np.max(away, axis=0) <= KNOBS.same
+    begins = loaded.begins | ~np.r_[False, on[:-1]]
+    return replace(
+        loaded, x=np.ascontiguousarray(loaded.x[:, on]), begins=begins[on],
+        theta=np.ascontiguousarray(loaded.theta[on, knob]), time=loaded.time[on],
+    )  # fmt: skip
+
+
+def _refuse_astray(
+    tuning: Tuning, part: Loaded, dwells: Dwells, section: StaticMap, name: str,
+    settings: TuningSettings,
+) -> None:  # fmt: skip
+    """Refuse a cost that leads elsewhere than the amplitude along a knob."""
+    cost, omega_h = tuning.chosen.maps.cost, tuning.best.constants.omega_h
+    y_out = energies(cost.model, part.x, part.begins)
+    levels = dwells.window_levels(high_pass(y_out, part, omega_h, tuning.task.dt))
+    found = dwells.static_map(levels, section.sense)
+    if not CostMaps(cost, {omega_h: found}, section, settings.near).leads_to_optimum(found):
+        raise NoOptimum(
+            "drowned",
+            f"the cost {cost.name} does not lead to the optimum of {name}: noise or interference "
+            "drowns it; record longer holds (increase 'time')",
+            tuning.findings,
+        )
+
+
+def _rest(rig: RigFile, settings: TuningSettings = TUNING) -> ThetaLimits:
+    """Return limits close around the start of a knob without effect."""
+    scale, u = rig.scale, rig.u_start
+    low, high = (u + side * settings.least_room for side in (-1.0, 1.0))
+    ends = scale.theta_at(max(low, 0.0)), scale.theta_at(min(high, 1.0))
+    return ThetaLimits(*ends, "it has no effect", "it has no effect")
+
+
+def _make_esc(tuning: Tuning, rig: RigFile, knob: int, limits: list[ThetaLimits]) -> EscConfig:
+    """Return the controller: each knob crosses the way between its limits in the same time."""
+    task, constants = tuning.task, tuning.best.constants
+    knobs = rig.knobs()
+    logarithmic = all(one.scale.logarithmic for one in knobs)
+    ends = np.array([(limit.low, limit.high) for limit in limits])
+    ways = np.diff(np.log(ends) if logarithmic else ends)[:, 0]
+    rates = [one.theta_rate / (one.theta_max if logarithmic else 1.0) for one in knobs]
+    low, high = task.scale.u(ends[knob])
+    share = constants.speed * rig.dt / float(high - low)  # of the way, in a sample
+    share = min(share, float((np.array(rates) * rig.dt / ways).min()))
+    each: dict[str, Any] = {
+        "step_size": [round_digits(float(way)) for way in share * ways],
+        "theta_min": [limit.low for limit in limits],
+        "theta_max": [limit.high for limit in limits],
+        "rate_limit": rates,
+        "theta_initial": [knob.theta_safe for knob in knobs],
+    }
+    each = {name: tuple(values) for name, values in each.items()}
+    each |= {"theta_scale": "log" if logarithmic else "linear", "widest": ()}
+    return replace(make_esc(task, constants, task.low), **each)

@@ -1,0 +1,139 @@
+"""An excitation of several knobs, on simulated rigs of which the map is known."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_design import DT, RIG, Simulated
+
+from koop_identify.model.from_bags import BagTraining
+from koop_identify.recording.loaded import Loaded
+from koop_identify.recording.samples import recorded_source
+from koop_identify.recording.segmentation import BagReading
+from koop_tune.excitation.bowl import fit_bowl
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN
+from koop_tune.excitation.knobs_design import KnobsDesign
+from koop_tune.search.settings import TuningSettings
+from koop_tune.tune_knobs import cut_section, tune_knobs
+
+KNOBS = replace(
+    RIG, command="/b:z[0],z[1]", theta_min=(-1.0, 0.1), theta_max=(3.0, 10.0), theta_rate=0.5,
+    theta_start=(2.0, 5.0), theta_safe=(2.0, 5.0),
+)  # fmt: skip
+START = [0.75, math.log(50.0) / math.log(100.0)]  # the second is on a scale of log theta
+
+
+def diagonal(u):
+    """Return log A of a valley along a diagonal, 7 times as long as it is wide, at (0.3, 0.6)."""
+    a, b = u[0] - 0.3, u[1] - 0.6
+    return 0.5 * math.log(1.0 + (28.0 * (a - b)) ** 2 + (4.0 * (a + b)) ** 2)
+
+
+class SimulatedKnobs(Simulated):
+    """The same rig with a level over two knobs."""
+
+    def __init__(self, level, seed=0):
+        super().__init__(lambda _: 0.0, seed=seed)
+        self.level, self.u, self.recorded = level, np.array(START), []
+
+    def go(self, u):
+        self.u = u
+
+    def stay(self, samples):
+        x = super().stay(samples)
+        theta = [k.scale.theta_at(u) for k, u in zip(KNOBS.knobs(), self.u, strict=True)]
+        self.recorded.append((np.tile(theta, (samples, 1)), x))
+        return x
+
+    @property
+    def loaded(self):
+        theta, x = map(np.concatenate, zip(*self.recorded, strict=True))
+        number = np.arange(x.shape[0])
+        return Loaded(np.ascontiguousarray(x.T), number == 0, theta, number * DT)
+
+
+def excite(rig, file=KNOBS):
+    design = KnobsDesign(file)
+    heard = rig.stay(round(DESIGN.shortest / DT))
+    while design.listens(heard):
+        heard = np.concatenate([heard, rig.stay(100)])
+    design.look(heard)
+    moves = []
+    while (move := design.next()) is not None:
+        moves.append(move)
+        for u in (move.via, move.u):
+            if u is not None:
+                rig.go(u)
+        design.arrive(move, rig.seconds)
+        while not design.take(rig.stay(design.windows.length)):
+            assert rig.seconds < file.time
+    return design, moves
+
+
+@pytest.fixture(scope="module")
+def coupled():
+    rig = SimulatedKnobs(diagonal)
+    return rig, *excite(rig)
+
+
+def test_the_optimum_of_coupled_knobs_is_found_though_it_lies_on_no_line_through_the_start(coupled):
+    _, design, moves = coupled
+    assert design.ended == KNOWN
+    lines = [diagonal((u, START[1])) for u in np.linspace(0.0, 1.0, 101)]
+    place = (np.linspace(0.0, 1.0, 101)[int(np.argmin(lines))], START[1])
+    assert min(lines) > math.log(2.0)  # each knob in turn would not get there
+    assert min(diagonal((place[0], u)) for u in np.linspace(0.0, 1.0, 101)) > math.log(2.0)
+    assert diagonal(design.base) < math.log(1.15)  # the errors of the holds are some per cent
+    assert len(moves) < 3 * 26  # of one knob the family needs 26
+    for knob, section in ((k, design.section(k)) for k in (0, 1)):
+        places = np.tile(design.lines[knob], (section.grid[::64].size, 1))
+        places[:, knob] = section.grid[::64]
+        near = np.abs(section.grid[::64] - section.best()) < 0.15
+        off = section.curve[::64] - np.array([diagonal(u) for u in places])
+        assert np.abs(off - np.median(off))[near].max() < 0.2
+
+
+def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled):
+    rig, design, _ = coupled
+    training = BagTraining(BagReading(recorded_source("/state:x"), dt=DT), names=("x",))
+    settings = TuningSettings(effort=0.02, workers=1)
+    tuning = tune_knobs(rig.loaded, KNOBS, design.lines, training, design.amplitude, settings)
+    limits = tuning.limits
+    for knob, one in enumerate(KNOBS.knobs()):
+        best = one.scale.theta_at(design.base[knob])
+        assert one.theta_min < limits[knob].low < best < limits[knob].high < one.theta_max
+        aim = tuning.make_aims()[knob]
+        assert aim.valley[0] <= limits[knob].low <= aim.theta <= limits[knob].high <= aim.valley[1]
+    assert tuning.useless == []
+    steps = np.array(tuning.esc.step_size) / [limit.high - limit.low for limit in limits]
+    assert steps[0] == pytest.approx(steps[1], rel=0.01)  # three digits
+    assert tuning.esc.theta_min == tuple(limit.low for limit in limits)
+    assert tuning.esc.theta_initial == KNOBS.theta_safe
+    part = cut_section(rig.loaded, KNOBS, 0, design.lines[0])
+    assert 0 < part.x.shape[1] < rig.loaded.x.shape[1]
+    assert set(np.unique(part.theta)) <= set(np.unique(rig.loaded.theta[:, 0]))
+
+
+def test_a_knob_without_effect_is_left_at_its_start():
+    design, moves = excite(SimulatedKnobs(lambda u: 3.0 * (u[1] - 0.4) ** 2))
+    assert design.ended == KNOWN
+    assert list(design.sections) == [1]
+    assert design.base[0] == pytest.approx(START[0])
+    assert design.base[1] == pytest.approx(0.4, abs=0.1)
+    assert all(move.u[0] == design.base[0] for move in moves[2 * (2 * DESIGN.first - 1) :])
+
+
+def test_where_no_knob_has_an_effect_that_is_said():
+    design, _ = excite(SimulatedKnobs(lambda u: 0.0))
+    assert design.ended == FLAT
+
+
+def test_a_bowl_is_known_from_lines_and_two_holds_beside_them():
+    lines = [(u, START[1]) for u in np.linspace(0.0, 1.0, 7)]
+    lines += [(0.2, u) for u in np.linspace(0.0, 1.0, 7)]
+    u = np.array([*lines, (0.5, 0.4), (0.5, 0.9)])
+    y = np.array([diagonal(each) for each in u])
+    bowl = fit_bowl(u, y, np.full(y.size, 0.01))
+    assert bowl.best == pytest.approx([0.3, 0.6], abs=0.01)
+    assert bowl.log(u) == pytest.approx(y, abs=0.02)
