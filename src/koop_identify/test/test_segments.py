@@ -6,12 +6,24 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from koop_core.stream.arrival import NOTHING, classify
 from koop_identify.model.from_bags import join_parts
 from koop_identify.recording import counted
+from koop_identify.recording.passes import keys
 from koop_identify.recording.samples import Batch
 from koop_identify.recording.segments import Segmentation, Segmenter
 
 DT = 0.02
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.one_of(st.sets(st.integers(0, 40)).map(sorted), st.lists(st.integers(0, 9))))
+def test_messages_of_a_recording_are_what_they_were_to_a_node(steps):
+    heard, expected = NOTHING, []
+    for step in steps:
+        arrival, heard = classify(heard, step, 0.0, DT)
+        expected.append(arrival)
+    assert keys(np.array(steps, np.int64))[0].tolist() == expected
 
 
 @settings(deadline=None, max_examples=60)

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -105,6 +106,10 @@ class BagReader:
 
     def description(self) -> dict[Any, Any]:
         """Return the inner map of the bag's `metadata.yaml`; empty where there is none."""
+        return self._description
+
+    @cached_property
+    def _description(self) -> dict[Any, Any]:
         return read_description(self.notes, self.files[0].parent)
 
     def custom_data(self) -> dict[str, str]:
