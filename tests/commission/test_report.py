@@ -26,6 +26,7 @@ QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05
 RIG = {**QUICK, "clean": 0.0, "interference": (6.0, 6.0), "common": 1.0,
        "maps": {"symmetric": 1.0}}  # fmt: skip
 PHONE, DESK = 390, 1280
+pytestmark = pytest.mark.timeout(900)  # the first test waits for the tuning of a rig
 
 
 def excitation(folder, rig):

@@ -38,7 +38,7 @@ def judged():
         return [read(find(name)) for name in (NAMES if chosen == ["all"] else chosen)]
     # theta begins 1.5 and 1 from the optimum: one that does not move fails
     return [
-        shortened("rig-other", theta_initial=0.0, duration=60.0, time_scale=6.0),
+        shortened("rig-other", theta_initial=0.0, duration=60.0, time_scale=3.0),
         shortened("kill-lifter", [(4.0, 4.0)], duration=64.0),
     ]
 

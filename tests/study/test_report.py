@@ -25,6 +25,8 @@ from koop_study.simulation.work import runs
 from koop_study.workers.units import Store
 from koop_view.report.document import Figure, Panel, Section, Series
 
+# the first test waits for a study, which another process may be computing
+pytestmark = pytest.mark.timeout(900)
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 # What makes an experiment a matter of seconds; the pages and sentences are the same.
 SMALL = {

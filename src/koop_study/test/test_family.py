@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,7 +20,11 @@ from relay_esc.config import EscConfig
 
 STILL = {"drift": (0.0, 0.0)}
 ALL = FamilyConfig(maps=dict.fromkeys(MAPS, 1.0))
-RIGS = [draw(ALL, seed) for seed in range(60)]
+
+
+@cache
+def drawn(seed: int) -> RandomRig:
+    return draw(ALL, seed)
 
 
 def of(maps: str, seed: int = 0, **settings: object) -> RandomRig:
@@ -39,13 +44,13 @@ def same(one: RandomRig, other: RandomRig) -> bool:
 
 
 def test_the_same_seed_draws_the_same_rig_and_another_one_another() -> None:
-    assert same(RIGS[3], draw(ALL, 3))
-    assert RIGS[3].theta_initial == draw(ALL, 3).theta_initial
-    assert not same(RIGS[3], RIGS[4])
-    x, amplitude = RIGS[3].record(np.full(500, RIGS[3].theta_initial), 7)
-    again, _ = draw(ALL, 3).record(np.full(500, RIGS[3].theta_initial), 7)
+    assert same(drawn(3), draw(ALL, 3))
+    assert drawn(3).theta_initial == draw(ALL, 3).theta_initial
+    assert not same(drawn(3), drawn(4))
+    x, amplitude = drawn(3).record(np.full(500, drawn(3).theta_initial), 7)
+    again, _ = draw(ALL, 3).record(np.full(500, drawn(3).theta_initial), 7)
     assert np.array_equal(x, again)
-    assert x.shape == (500, RIGS[3].channels)
+    assert x.shape == (500, drawn(3).channels)
     assert amplitude.shape == (500,)
 
 
@@ -57,12 +62,13 @@ def test_another_range_of_one_quantity_leaves_the_rest_of_the_rig_as_it_was() ->
 
 
 def test_rigs_are_within_the_ranges_and_of_every_kind() -> None:
-    assert {rig.map for rig in RIGS} == set(MAPS)
-    assert {rig.params.kind for rig in RIGS} == {oscillator.LIMIT_CYCLE, oscillator.NOISE_DRIVEN}
-    assert {rig.objective for rig in RIGS} == {"minimise", "maximise"}
-    assert {rig.params.log_scale for rig in RIGS} == {False, True}
-    assert {rig.channels for rig in RIGS} == {1, 2, 3, 4}
-    for rig in RIGS:
+    rigs = [drawn(seed) for seed in range(60)]
+    assert {rig.map for rig in rigs} == set(MAPS)
+    assert {rig.params.kind for rig in rigs} == {oscillator.LIMIT_CYCLE, oscillator.NOISE_DRIVEN}
+    assert {rig.objective for rig in rigs} == {"minimise", "maximise"}
+    assert {rig.params.log_scale for rig in rigs} == {False, True}
+    assert {rig.channels for rig in rigs} == {1, 2, 3, 4}
+    for rig in rigs:
         p = rig.params
         assert 0.05 <= rig.frequency <= 50.0
         assert 20 <= round(1.0 / rig.frequency / p.dt) <= 50
@@ -405,7 +411,7 @@ def test_a_wrong_family_is_refused_with_the_reason(settings: object, message: st
 
 
 def test_compiled_and_plain_step_agree() -> None:
-    for rig in RIGS[:10]:
+    for rig in map(drawn, range(10)):
         state = plain = rig.initial(1)
         for k, noise in enumerate(rig.noise(50, 1)):
             state = oscillator.step(rig.params, state, k, rig.theta_initial, *noise[:2])
