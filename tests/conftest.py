@@ -28,8 +28,8 @@ class Probe:
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
 
+        from koop_node.node.dds_profile import set_dds_profile
         from koop_node.node.entities import WithoutEvents
-        from koop_node.node.main import set_dds_profile
 
         set_dds_profile(udp=True)  # else what is lost on the way is sent again seconds later
         self.context = rclpy.Context()

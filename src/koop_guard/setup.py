@@ -19,6 +19,6 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["guard = koop_guard.executable:main"],
-        "rclpy_components": ["koop_guard::GuardNode = koop_guard.node:GuardNode"],
+        "rclpy_components": ["koop_guard::GuardNode = koop_guard.node.guard_node:GuardNode"],
     },
 )

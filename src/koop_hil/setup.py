@@ -15,7 +15,6 @@ setup(
         "koop_bag",
         "koop_bringup",
         "koop_core",
-        "koop_guard",
         "koop_identify",
         "koop_lab",
         "koop_loop",

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from lifecycle_msgs.srv import GetState
 
-from koop_node.node.main import TRANSPORTS
+from koop_node.node.dds_profile import TRANSPORTS
 
 
 def mailboxes(process):

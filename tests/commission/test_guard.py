@@ -35,12 +35,12 @@ from koop_core.config import parameter_file
 from koop_core.whole_file import read_json
 from koop_guard import note
 from koop_guard.config import SAFETY
-from koop_guard.node import KEPT
 from koop_guard.node.twin import Twin
 from koop_hil import installed
 from koop_lab.recorded.report import read
 from koop_loop import parameters
 from koop_loop.parameters import changed
+from koop_node.node.qos import KEPT
 from koop_tune.result.parameter_text import KNOWN
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import as_values

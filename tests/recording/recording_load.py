@@ -38,7 +38,7 @@ def main(rate: float, seconds: float, farewell: float = 10.0) -> None:
     import rclpy
     from rclpy.duration import Duration
 
-    from koop_node.node.main import set_dds_profile
+    from koop_node.node.dds_profile import set_dds_profile
     from koop_node.node.managed import message_type
     from koop_node.node.qos import RELIABLE
     from koop_node.process.lifeline import end_with_parent

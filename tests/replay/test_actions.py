@@ -24,7 +24,7 @@ from koop_core.stream.resend import Due, Resend
 from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
 from koop_loop.training import TrainingConfig, train
-from koop_node.node.main import TRANSPORTS
+from koop_node.node.dds_profile import TRANSPORTS
 from koopman_lifter.config import shipped_model
 from koopman_lifter.delays import Delays
 from vdp_plant.config import PACING, PlantConfig

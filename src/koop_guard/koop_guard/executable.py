@@ -5,4 +5,4 @@ from koop_node.node.start import start
 
 def main() -> None:
     """Start the node."""
-    start("koop_guard.node:GuardNode")
+    start("koop_guard.node.guard_node:GuardNode")

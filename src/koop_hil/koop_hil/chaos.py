@@ -92,7 +92,7 @@ class Operator(Client):
         from std_msgs.msg import Float64
         from std_srvs.srv import Trigger
 
-        from koop_guard.node import KEPT
+        from koop_node.node.qos import KEPT
 
         super().__init__("_koop_chaos")
         self._note = note

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koop_node.node.main import PROFILE, TRANSPORTS, set_dds_profile
+from koop_node.node.dds_profile import PROFILE, TRANSPORTS, set_dds_profile
 
 OWN = Path(str(files("koop_node")))
 

@@ -57,8 +57,8 @@ class GuardedTheta:
         from rclpy.qos import qos_profile_sensor_data
         from std_msgs.msg import Float64MultiArray
 
-        from koop_guard.node import KEPT
         from koop_node.node.managed import message_type
+        from koop_node.node.qos import KEPT
 
         self._client, self._rig = client, rig
         self._kind, self._command = message_type(command_type), b""

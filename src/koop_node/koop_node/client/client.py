@@ -33,15 +33,15 @@ class Client:
     domain : int, optional
         ROS domain; by default the one of the environment.
     udp : bool
-        See :func:`koop_node.node.main.set_dds_profile`.
+        See :func:`koop_node.node.dds_profile.set_dds_profile`.
     """
 
     def __init__(self, name: str, domain: int | None = None, udp: bool = True) -> None:
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
 
+        from koop_node.node.dds_profile import set_dds_profile
         from koop_node.node.entities import WithoutEvents
-        from koop_node.node.main import set_dds_profile
 
         set_dds_profile(udp)
         self._context = rclpy.Context()

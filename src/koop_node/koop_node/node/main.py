@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import inspect
-import os
 import signal
 import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -24,29 +22,14 @@ from koop_core.config.describe import ARGUMENTS, help_text
 from koop_core.config.parameter import NodeConfig
 from koop_core.errors import InputError
 from koop_node.node import schedule
+from koop_node.node.dds_profile import set_dds_profile
 from koop_node.node.managed import ManagedNode
 from koop_node.process.housekeeping import Housekeeping
 from koop_node.process.lifeline import end_with_parent
 from koop_node.process.realtime import apply_priority
 
 USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
-PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # environment variables of Fast DDS
-TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
-
-
-def set_dds_profile(udp: bool = False) -> None:
-    """Let Fast DDS notice a loss in 10 ms and never wait for a lost host.
-
-    To be called before DDS starts in this process; what counts is the first call. A file of the
-    user's stays. With ``udp`` what is sent to this process comes by UDP, not through shared
-    memory, which under load may be lost for good; and so where the user's environment asks for it
-    (``FASTDDS_BUILTIN_TRANSPORTS=UDPv4``), which rmw_fastrtps ignores in the range LOCALHOST.
-    """
-    udp = udp or os.environ.get(TRANSPORTS) == "UDPv4"
-    folder = Path(str(files("koop_node")))
-    if Path(os.environ.get(PROFILE, folder / "none")).parent == folder:  # none, or a parent's
-        os.environ[PROFILE] = str(folder / ("fastdds_udp.xml" if udp else "fastdds.xml"))
 
 
 def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> int:
