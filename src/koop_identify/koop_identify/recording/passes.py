@@ -84,8 +84,8 @@ def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
         raise InputError("a step is not a count: the recording is damaged")
     kinds = np.full(step.size, Arrival.NEXT, np.int8)
-    if step.size and (step[1:] > step[:-1]).all():  # most recordings: no kernel, and no numba
-        kinds[0] = Arrival.RESTART if step[0] == 0 else Arrival.JOIN
+    if (step[1:] > step[:-1]).all():  # most recordings: no kernel, and no numba
+        kinds[:1] = np.where(step[:1] == 0, Arrival.RESTART, Arrival.JOIN)
     else:
         listen(step, 0.0, NOTHING, kinds)
     begins = (kinds == Arrival.RESTART) | (kinds == Arrival.JOIN)
