@@ -206,7 +206,9 @@ class EscConfig(KnobSettings):
             np.array([state.commanded for state in each]),
             np.array([state.output for state in each]),
         )
-        if self.count > 1 and self.begin:
+        if self.count == 1:
+            return begin._replace(relay=each[0])
+        if self.begin:
             return recalled_directions(begin, self.begin, self.theta_scale == "log")
         return begin
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,20 +38,24 @@ def knobs_of(n: int, rate: float = math.inf) -> Knobs:
     return Knobs(-ones, ones, ones, np.full(n, rate), -ones, ones)
 
 
-@pytest.mark.parametrize("law", ["relay", "adaptive"])
-def test_one_knob_is_the_relay_to_the_last_bit(law: str) -> None:
-    rng, p = np.random.default_rng(3), config(law=law, rate_limit=0.02).params(DT)
-    alone = relay.initial(0.3, 1, 0.3)
-    several = start(np.array([0.3]), np.array([1]))
-    knobs = knobs_of(1)
+@pytest.mark.parametrize(
+    "values",
+    [{"law": "relay"}, {}, {"theta_initial": 1.2},  # from beyond its limits
+     {"theta_scale": "log", "theta_min": 0.1, "theta_initial": 2.0}],
+)  # fmt: skip
+def test_one_knob_is_the_relay_to_the_last_bit(values: dict[str, Any]) -> None:
+    chosen = config(**{"rate_limit": 0.02, **values})
+    rng, p, knobs = np.random.default_rng(3), chosen.params(DT), chosen.knob_limits(DT)
+    alone, several = chosen.initial(), chosen.initial_directions()
+    begun = alone.output
     for k in range(3000):
         r = math.nan if rng.random() < 0.01 else float(rng.random() + 0.1)
         arrival = RESTART if k == 0 else int(rng.choice([NEXT, RESUME, JOIN], p=[0.98, 0.01, 0.01]))
         hold = bool(rng.random() < 0.02)
         alone, *expected = relay.answer(p, alone, arrival, False, False, r, hold)
         several, *answered = directions.answer(p, knobs, several, arrival, False, False, r, hold)
-        assert (several.output[0], answered) == (alone.output, expected)
-    assert abs(alone.output - 0.3) > 0.0
+        assert (several.theta[0], answered) == (alone.output, expected)
+    assert abs(alone.output - begun) > 0.0
 
 
 @pytest.mark.parametrize("n", [2, 5])
