@@ -205,7 +205,10 @@ def find_disagreements(aim: Aim, run: Measured, allowance: float = 1.0) -> list[
 
 
 def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
-    """Return why the rig is not damped by the loops from all starts, in words; empty if it is."""
+    """Return why the rig is not damped by the loops from all starts, in words; empty if it is.
+
+    A single loop, before the others, is not asked whether it makes the amplitude fall.
+    """
     faults, good = [], CONVERGENCE.good
     # the final map: the loops belong to it
     final = min(
@@ -238,7 +241,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         for run in runs if run.broken > aim.settings.broken
     ]  # fmt: skip
     gains = [math.log(run.reduction) - aim.settings.errors * run.error for run in runs]
-    if max(gains) <= 0.0:
+    if len(runs) > 1 and max(gains) <= 0.0:  # a single one may have begun at the best
         verb = "falls" if aim.sense > 0 else "rises"
         faults.append(f"from neither start the amplitude {verb} by more than its error")
     for run in runs:
