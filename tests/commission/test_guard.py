@@ -88,8 +88,9 @@ def walked(rig):
     assert min(theta) >= SLOW.theta_min
     assert max(theta) <= SLOW.theta_max
     for (before, a), (now, b) in pairwise(rig.moved):
-        # a command moves theta by what 40 ms allow at most; some are lost while the rig waits
-        assert abs(b - a) <= SLOW.theta_rate * (now - before + 0.04) * (1 + 1e-6)
+        # a command moves theta by what 40 ms allow at most; some are lost while the rig waits, and
+        # the one before may be heard late; a jump home would be further
+        assert abs(b - a) <= SLOW.theta_rate * (now - before + 0.1) * (1 + 1e-6)
     return theta[-1] == SAFE
 
 
