@@ -74,13 +74,13 @@ class EDMD(TransformerMixin, BaseEstimator):  # type: ignore[misc]
 
     def transform(self, X: ArrayLike) -> NDArray[np.float64]:
         """Lift states, shape (M, n), to their observables, shape (M, p)."""
-        return self.model_.observables.lift(self._check(X).T).T
+        states = self._check(X)
+        return self.model_.observables.lift(states.T).T
 
     def predict(self, X: ArrayLike) -> NDArray[np.float64]:
         """Return the next state of each of the states, both of shape (M, n)."""
-        n = self._check(X).shape[1]
         ahead = self.transform(X) @ self.model_.K.T
-        return np.asarray(ahead[:, 1 : n + 1])
+        return np.asarray(ahead[:, 1 : self.n_features_in_ + 1])
 
     def get_feature_names_out(self, input_features: ArrayLike | None = None) -> NDArray[Any]:
         """Return the observables in words, for example ``x0^2*x1``, shape (p,)."""

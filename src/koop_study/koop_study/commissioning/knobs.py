@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from koop_study.commissioning.excitation import excite, training_of
+from koop_study.commissioning.work import EARLIER
 from koop_study.family.config import FamilyConfig
 from koop_study.family.knobs import draw_knobs
 from koop_study.family.loop import RigController, close, noise_of
@@ -18,8 +19,6 @@ from koop_tune.search.findings import NoOptimum
 from koop_tune.search.run import make_lifter
 from koop_tune.search.settings import TuningSettings
 from koop_tune.tune_knobs import tune_knobs
-
-EARLIER = 1_000_000  # added to the seed of the excitation
 
 
 def commission_knobs(

@@ -13,11 +13,11 @@ from koop_core.config.parameter import ConfigError
 from koop_study.experiments.seeds import Seeds
 from koop_study.experiments.stats import quantile
 from koop_study.family.config import FamilyConfig
+from koop_study.family.settings import FAMILY
 from koop_study.simulation.case import case_of
 from koop_study.workers.units import Unit
 from koop_view.report.document import Column, Section, Table
 
-GOOD = 1.5  # amplitude over the best
 CONVERGED = 0.6  # |e| at the end, from 5: as in the tests of the paper's loop
 MAP_COLUMNS = (
     Column("knobs", "knobs"),
@@ -123,13 +123,13 @@ class Commissioned:
         for i, (n, condition, useless) in enumerate(self.rigs()):
             rows = results[i * count : (i + 1) * count]
             tuned = [row for row in rows if "ratio" in row]
-            within = [max(row["ratio"]) <= GOOD for row in tuned]
+            within = [max(row["ratio"]) <= FAMILY.good for row in tuned]
             damped = [row["damped"] for row in tuned]
             table.rows.append((
                 str(n), condition, "yes" if useless else "no",
                 quantile([row["excited"] for row in rows], 0.5),
                 quantile([row["holds"] for row in rows], 0.5),
-                100.0 * float(np.mean([row["held"] <= GOOD for row in rows])),
+                100.0 * float(np.mean([row["held"] <= FAMILY.good for row in rows])),
                 100.0 * len(tuned) / count, 100.0 * sum(within) / max(len(tuned), 1),
                 100.0 * sum(damped) / count,
                 sum(said and not true for said, true in zip(damped, within, strict=True)),
@@ -219,7 +219,7 @@ def section(config: KnobsConfig, results: list[Any]) -> Section:
     for (n, condition, useless), rows in zip(cases, results[: len(cases)], strict=True):
         amplitude = [row["amplitude"] for row in rows]
         arrival = [np.inf if row["arrival"] is None else row["arrival"] for row in rows]
-        within = 100.0 * float(np.mean(np.array(amplitude) <= GOOD))
+        within = 100.0 * float(np.mean(np.array(amplitude) <= FAMILY.good))
         maps.rows.append((
             str(n), condition, "yes" if useless else "no", quantile(amplitude, 0.5),
             quantile(amplitude, 0.9), within, quantile(arrival, 0.5),

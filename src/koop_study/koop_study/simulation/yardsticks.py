@@ -113,6 +113,9 @@ def seek_yardstick(name: str, seeds: list[int]) -> list[dict[str, Any]]:
         law="adaptive", objective=map_.objective, dwell=DWELL, tau_f=DWELL, step_size=STEP * width,
         **limits,
     )  # fmt: skip
+    fixed = esc.knob(0).params(1.0), esc.knob_limits(1.0)
+    first = esc.initial_directions()  # whose arrays are changed
+    answer = direct(directions.answer, *fixed, first, int(Arrival.RESTART), *NO, 0.0, False)
     for seed in seeds:
         rng = np.random.default_rng(seed)
         u = map_.start
@@ -120,9 +123,6 @@ def seek_yardstick(name: str, seeds: list[int]) -> list[dict[str, Any]]:
             way = rng.standard_normal(n)
             u = map_.best + np.linalg.norm(u - map_.best) * way / np.linalg.norm(way)
         state = directions.start(u, signs(n, rng), u, u)
-        fixed = esc.knob(0).params(1.0), esc.knob_limits(1.0)
-        first = directions.start(u, signs(n, rng), u, u)  # whose arrays are changed
-        answer = direct(directions.answer, *fixed, first, int(Arrival.RESTART), *NO, 0.0, False)
         path = np.empty((LONGEST, n))
         for k in range(LONGEST):
             path[k] = state.theta

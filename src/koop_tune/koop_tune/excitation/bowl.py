@@ -8,7 +8,6 @@ either side of a pair of knobs tell that too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,12 +91,3 @@ def fit_bowl(u: Array, y: Array, error: Array, settings: BowlSettings = BOWL) ->
     ]
     found = bowl_of(min(fits, key=lambda fit: float(fit.cost)).x)
     return Bowl(found.floor, np.clip(found.best, 0.0, 1.0), found.root)
-
-
-def pairs(knobs: Sequence[int]) -> list[tuple[int, int]]:
-    """Return every pair of knobs.
-
-    >>> pairs([0, 2, 3])
-    [(0, 2), (0, 3), (2, 3)]
-    """
-    return [(a, b) for i, a in enumerate(knobs) for b in knobs[i + 1 :]]

@@ -16,6 +16,7 @@ import math
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, judged
 from koop_tune.excitation.amplitude import Amplitude, Windows
-from koop_tune.excitation.bowl import Bowl, fit_bowl, pairs
+from koop_tune.excitation.bowl import Bowl, fit_bowl
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, Design, DesignSettings, Move
 from koop_tune.excitation.holds import Hold, Level, usual_wander
 from koop_tune.excitation.static_map import StaticMap
@@ -176,7 +177,7 @@ class KnobsDesign:
             return
         self._move_base()
         way = {knob: self._width(knob) for knob in self._useful}
-        for a, b in pairs(self._useful):
+        for a, b in combinations(self._useful, 2):
             for side in (1.0, -1.0):
                 place = self._beside({a: way[a], b: side * way[b]})
                 yield from self._hold_at(place, "how two knobs are coupled")
