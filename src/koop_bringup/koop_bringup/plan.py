@@ -155,13 +155,13 @@ class Plan:
         components = tuple(COMPONENTS[name] for name in names)
         return (*apart, PlannedNode(names[-1], *CONTAINER, components))
 
-    def environment(self, node: str) -> dict[str, str]:
-        """Return what is added to a process's environment: a rig's recorder receives by UDP.
+    @property
+    def environment(self) -> dict[str, str]:
+        """What is added to the environment of each node: those of a rig's loop receive by UDP.
 
-        A mailbox in shared memory may be lost for good while its reader stands still.
+        A mailbox in shared memory may be lost for good: its reader stood still or was killed.
         """
-        by_udp = self.rig and node == "recorder"
-        return {TRANSPORTS: os.environ.get(TRANSPORTS, "UDPv4")} if by_udp else {}
+        return {TRANSPORTS: os.environ.get(TRANSPORTS, "UDPv4")} if self.rig else {}
 
 
 def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> Plan:

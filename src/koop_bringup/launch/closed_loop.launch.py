@@ -99,7 +99,7 @@ def _start(context: LaunchContext) -> list:
                 namespace=planned.namespace or "/",
                 parameters=[*files, file],
                 on_exit=loop.on_exit(node.name, node.executable if node.arguments else ""),
-                additional_env={**TIED, **planned.environment(node.name)},
+                additional_env={**TIED, **planned.environment},
                 **shared,
             )
         )

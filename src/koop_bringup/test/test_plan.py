@@ -114,8 +114,7 @@ def test_a_rig_takes_the_place_of_the_plant(mine):
     planned = plan({**mine(), "plant": "False", "record": "true"})
     assert planned.rig
     assert names(planned) == ["recorder", "relay_esc", "koopman_lifter"]
-    assert planned.environment("recorder") == {TRANSPORTS: "UDPv4"}
-    assert planned.environment("relay_esc") == plan({}).environment("recorder") == {}
+    assert (planned.environment, plan({}).environment) == ({TRANSPORTS: "UDPv4"}, {})
 
 
 def test_the_file_says_whether_the_plant_is_simulated_unless_an_argument_does(mine):

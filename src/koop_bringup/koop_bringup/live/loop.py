@@ -57,7 +57,7 @@ class LiveNodes:
         self.file: Path | None = None
         self._values, self._namespace = planned.parameters, planned.namespace
         self._rig, self._program = planned.rig, list(planned.program)
-        self._remaps, self._environment = planned.remaps, planned.environment
+        self._remaps, self._environment = planned.remaps, os.environ | planned.environment
         shared = planned.parameters if planned.composed else {}
         self._composed = {node: COMPONENTS[node] for node in COMPONENTS if node in shared}
         self._in_turn = False
@@ -89,11 +89,9 @@ class LiveNodes:
             stack.callback(self._stop_all)
             for node in EXECUTABLES:
                 if node in self._values and node not in self._composed:
-                    log, environment = logs / f"{node}.log", os.environ | self._environment(node)
-                    self._nodes[node] = NodeProcess(node, arguments, log, environment=environment)
+                    self._start(node, arguments)
             if self._composed:
-                words = [*self._composed.values(), *arguments]
-                self._nodes["container"] = NodeProcess("container", words, logs / "container.log")
+                self._start("container", [*self._composed.values(), *arguments])
             if self._program:
                 companion = [sys.executable, "-m", "koop_node.process.companion"]
                 self._nodes["rig"] = NodeProcess("rig", self._program, logs / "rig.log", companion)
@@ -102,6 +100,10 @@ class LiveNodes:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
+
+    def _start(self, node: str, arguments: list[str]) -> None:
+        log = self.folder / "logs" / f"{node}.log"
+        self._nodes[node] = NodeProcess(node, arguments, log, environment=self._environment)
 
     @uninterrupted()
     def _stop_all(self, to_guard: int = signal.SIGTERM) -> dict[str, int]:

@@ -131,7 +131,7 @@ def main(descriptor: int) -> int:
     shared = SharedTheta(descriptor)
     from koop_node.client.client import Client
 
-    with claimed(f"{TWIN}{guard_id}"), Client("_koop_guard_twin", udp=False) as client:
+    with claimed(f"{TWIN}{guard_id}"), Client("_koop_guard_twin") as client:
         if not (line := sys.stdin.buffer.readline()):
             return 0
         order = json.loads(line)
