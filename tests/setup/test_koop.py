@@ -17,8 +17,8 @@ REPOSITORY = HERE.parent.parent
 # What koop needs of the system. No apt-get: a test must never install anything.
 TOOLS = (
     "bash", "basename", "cat", "chmod", "comm", "cp", "dirname", "env", "find", "flock", "grep",
-    "mkdir", "mv", "readlink", "rm", "sed", "sha256sum", "sleep", "sort", "tail", "touch", "tr",
-    "true", "uname", "xargs",
+    "mkdir", "mv", "nproc", "readlink", "rm", "sed", "sha256sum", "sleep", "sort", "tail", "touch",
+    "tr", "true", "uname", "xargs",
 )  # fmt: skip
 COMMANDS = "src/koop_lab/koop_lab/cli/commands.txt"  # shown by --help
 # arguments for pytest if the user gives none

@@ -1,0 +1,42 @@
+"""Colcon, which starts one interpreter for each Python package in place of four.
+
+For every package it asks an interpreter for the arguments of setup.py, another for the commands of
+setuptools, a third for the options of one, and only then builds in a fourth. The first answer is
+had here, the others are the same for each package: those of the setuptools that is pinned.
+"""
+
+import os
+import sys
+from distutils.core import run_setup
+from pathlib import Path
+from typing import Any
+
+from colcon_core.command import main
+from colcon_core.task.python.build import PythonBuildTask
+from colcon_ros.package_augmentation import ros_ament_python
+
+
+def read_setup(setup_py: Path, **_: Any) -> dict[str, Any]:
+    """Return the arguments of a setup.py."""
+    folder = os.getcwd()
+    os.chdir(setup_py.parent)
+    try:
+        return vars(run_setup(setup_py.name, stop_after="config"))
+    finally:
+        os.chdir(folder)
+
+
+async def find_commands(*_: Any) -> set[str]:
+    """Return the command of setuptools that colcon looks for, to link the sources."""
+    return {"develop"}
+
+
+async def find_options(*_: Any) -> set[str]:
+    """Return the option of it that colcon looks for."""
+    return {"--editable"}
+
+
+ros_ament_python.get_setup_information = read_setup
+PythonBuildTask._get_available_commands = find_commands
+PythonBuildTask._get_available_options = find_options
+sys.exit(main())
