@@ -9,13 +9,16 @@ from contextlib import suppress
 from typing import Any, ClassVar
 
 import numba
+from numba import types
 from numba.core import ir
 from numba.core.caching import FunctionCache
+from numba.core.cgutils import ir as llvm  # llvmlite's, of which this is the one use
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 from numba.extending import intrinsic, overload
 
 from koop_core.borrowed import borrowed
+from koop_core.foreign import call
 
 # A kernel that is inlined is copied block by block, with all its variables for each: a quarter of
 # the time that a kernel takes to compile. What is copied is used once, and can share them.
@@ -83,3 +86,20 @@ def _without_owner(typing: Any, array: Any) -> Any:
 @overload(borrowed)
 def _borrowed(array):  # type: ignore[no-untyped-def]
     return lambda array: _without_owner(array)
+
+
+@intrinsic
+def _call(typing: Any, function: Any, first: Any, second: Any, third: Any, fourth: Any) -> Any:
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = llvm.IntType(64)
+        kind = llvm.FunctionType(llvm.IntType(32), [word] * 4)
+        return builder.call(builder.inttoptr(arguments[0], kind.as_pointer()), arguments[1:])
+
+    return types.int32(*[types.int64] * 5), made
+
+
+@overload(call)
+def _called(function, first, second, third, fourth):  # type: ignore[no-untyped-def]
+    return lambda function, first, second, third, fourth: _call(
+        function, first, second, third, fourth
+    )

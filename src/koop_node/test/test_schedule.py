@@ -2,7 +2,7 @@
 
 import pytest
 
-from koop_node.node.schedule import GRACE, Schedule, current, running
+from koop_node.node.schedule import Schedule, current, running
 
 
 class Clock:
@@ -98,24 +98,6 @@ def test_a_timer_without_a_period_is_due_each_time_and_does_not_keep_the_others_
     advance(clock, schedule, 0.5)
     advance(clock, schedule, 0.25)
     assert calls == ["always", "sometimes", "always"]
-
-
-def test_messages_are_interrupted_for_a_timer_that_is_overdue_and_when_asked(clock, schedule):
-    calls = []
-    schedule.interrupt = lambda: calls.append(clock.now)
-    schedule.timer(0.5, lambda: None)
-    clock.now += 0.5 + GRACE / 2
-    schedule.look()
-    assert calls == []  # messages come first
-    clock.now += GRACE
-    schedule.look()
-    assert len(calls) == 1
-    schedule.run_due()
-    schedule.look()
-    assert len(calls) == 1
-    schedule.asked = True
-    schedule.look()
-    assert len(calls) == 2
 
 
 def test_nodes_have_their_timers_on_the_schedule_that_runs():

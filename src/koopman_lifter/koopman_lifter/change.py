@@ -335,15 +335,18 @@ class Watch:
         """Take a measured state, shape (n,); a block of them is looked at at once."""
         i = self._count
         self._steps[i], self._states[i] = step, x
-        self._count = (i + 1) % BLOCK
-        if self._count:
-            return None
-        block = self._steps, self._states
+        self._count = i + 1
+        return self.settle() if self._count == BLOCK else None
+
+    def settle(self) -> Change | None:
+        """Look at what has been taken."""
+        block = self._steps[: self._count], self._states[: self._count]
+        self._count = 0
         if self._spectrum is None:
             self._listen(self._listening, *block)
             return None
         self._tally = t = self._follow(self._threshold, self._spectrum, self._tally, *block)
-        return self._judge() if max(t.above.s, t.below.s) > self._threshold else None
+        return self.judge() if max(t.above.s, t.below.s) > self._threshold else None
 
     def look(self) -> None:
         """Look for the oscillation where enough was heard: some milliseconds now and then."""
@@ -365,7 +368,17 @@ class Watch:
         self._spectrum = spectrum(segment, self.channels)
         self._threshold = math.log(max(DAY / (segment * self._dt), 10.0))
 
-    def _judge(self) -> Change:
+    def lend(self) -> tuple[bool, Listening, float, Spectrum, Tally]:
+        """Return what :func:`listen` or :func:`follow` needs, and which of them is to be called."""
+        looks = self._spectrum is None
+        silent = self._spectrum or spectrum(9, self.channels)
+        return looks, self._listening, self._threshold, silent, self._tally
+
+    def take_back(self, tally: Tally) -> None:
+        """Take the tally after :func:`follow`."""
+        self._tally = tally
+
+    def judge(self) -> Change:
         t = self._tally
         after, end = (t.above.e, t.high) if t.above.s > t.below.s else (t.below.e, t.low)
         change = Change(self._hertz(end), self._hertz(after))

@@ -17,18 +17,28 @@ from koop_core.config.constraint import Constraint
 from koop_core.config.fields import Source, check_fields, read_field
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
+from koop_core.port import OTHER
 from koop_core.stream.arrival import Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.adapter import StateAdapter
-from koop_node.node.entities import Writer
+from koop_node.node.entities import Input, Writer
 from koop_node.node.graph import listeners_of, publishers_of
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
+from koop_node.node.stamps import to_seconds
 from koop_node.node.wire import codec
 from koopman_lifter import cost, margin
 from koopman_lifter.change import Change, Watch
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_fitting, load_for
+from koopman_lifter.stage import (
+    CHANGED,
+    COST,
+    STATE,
+    UNUSABLE,
+    LifterProgress,
+    LifterStage,
+)
 
 
 class LoadedModel:
@@ -126,6 +136,7 @@ class LifterRun(Run):
         self._input = StreamMonitor(self._topic, timeout_of(config.dt), config.dt, may_end=True)
         self.inputs = (self._input,)
         self._publisher: Writer | None = None
+        self._reader: Input | None = None
 
     def activate(self, entities: Entities) -> None:
         follower, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "loop")
@@ -138,7 +149,7 @@ class LifterRun(Run):
 
         def listen() -> None:
             if foreign is None:
-                entities.reader(MeasuredState, "state", self._on_state, RELIABLE)
+                self._reader = entities.reader(MeasuredState, "state", self._on_state, RELIABLE)
             else:
                 entities.when_typed(publishers_of, foreign.topic, listen_to)
 
@@ -154,7 +165,7 @@ class LifterRun(Run):
 
     def deactivate(self) -> None:
         self._input.pause()
-        self._publisher = None
+        self._publisher = self._reader = None
         if self._foreign is not None:
             self._foreign.publisher = None
 
@@ -232,8 +243,8 @@ class LifterRun(Run):
         )  # fmt: skip
         if self._signal is not None:
             answer.margin = self._signal.follow(int(arrival))
-        if math.isnan(answer.r) and not (answer.settling and self._believed(x)):
-            self._report_unusable(state.x)
+        if math.isnan(answer.r):
+            self._judge_unusable(state.x)
         return x
 
     def _observe(self, x: NDArray[np.float64]) -> None:
@@ -252,6 +263,44 @@ class LifterRun(Run):
         change = self._watch.take(self._answer.step, x)
         if change is not None:
             self._change = change
+
+    # -- compiled -----------------------------------------------------------------------------
+
+    def lend(self) -> tuple[LifterStage, LifterProgress] | None:
+        """Return what :func:`koopman_lifter.stage.answer_next` needs; None: it cannot go on."""
+        reader, writer, answer = self._reader, self._publisher, self._answer
+        joined = self._input.steady and not (self._state.settling or self._filling())
+        if reader is None or writer is None or self._signal is not None or not joined:
+            return None
+        self._change = self._watch.settle() or self._change
+        looks, ear, threshold, spectrum, tally = self._watch.lend()
+        state = codec(MeasuredState).new()
+        state.header, state.x = answer.header, [0.0] * self._n
+        stage = LifterStage(
+            reader.port(state, STATE), writer.port(answer, COST), self._source,
+            self._loaded.lifting, self._detector, self._loaded.work, np.zeros(self._n),
+            np.zeros(self._watch.channels), looks, ear, threshold, spectrum,
+        )  # fmt: skip
+        return stage, LifterProgress(answer.step, self._state, tally)
+
+    def take_back(self, before: LifterProgress, after: LifterProgress) -> None:
+        """Go on where the compiled code ended."""
+        if (count := after.step - before.step) and self._publisher is not None:
+            self._state, self._answer = after.detector, self._publisher.last()
+            self._watch.take_back(after.tally)
+            stamp = to_seconds(self._answer.header.stamp)
+            self._input.follow_on(count, stamp, time.monotonic())
+
+    def handle(self, reason: int) -> None:
+        """Do what the compiled code has left to do."""
+        if self._reader is None:
+            return
+        if reason == OTHER:
+            self._reader.deliver_last()
+        elif reason == CHANGED:
+            self._change = self._watch.judge()
+        elif reason == UNUSABLE:
+            self._judge_unusable(self._reader.last().x)
 
     def _begin_watch(self, channels: int = 1) -> None:
         self._watch = Watch(channels, self._answer.dt)
@@ -292,7 +341,9 @@ class LifterRun(Run):
             np.isfinite(x).all() and (self._filling() or self._answer.y_out <= self._detector.y_max)
         )
 
-    def _report_unusable(self, x: array[float]) -> None:
+    def _judge_unusable(self, x: array[float]) -> None:
+        if self._answer.settling and len(x) == self._n and self._believed(np.frombuffer(x)):
+            return
         if len(x) != self._n:
             needed = f"the model {self._loaded.id} needs" if self._loaded.model else "the first had"
             problem = f"state has {len(x)} values, {needed} {self._n}"

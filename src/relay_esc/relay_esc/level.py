@@ -50,17 +50,17 @@ class CostLevel:
 
     def __init__(self, dwell: int, minimise: bool) -> None:
         self.rise = math.nan
-        self._window, self._minimise = max(round(LEVEL.window * dwell), LEVEL.least), minimise
-        self._sum, self._count, self._best = 0.0, 0, math.nan
+        self.window, self._minimise = max(round(LEVEL.window * dwell), LEVEL.least), minimise
+        self.sum, self.count, self._best = 0.0, 0, math.nan
 
     def take(self, r: float) -> None:
         """Take a usable cost."""
-        self._sum += r
-        self._count += 1
-        if self._count < self._window:
+        self.sum += r
+        self.count += 1
+        if self.count < self.window:
             return
-        level = self._sum / self._count
-        self._sum, self._count = 0.0, 0
+        level = self.sum / self.count
+        self.sum, self.count = 0.0, 0
         if math.isnan(self._best) or (level < self._best) == self._minimise:
             self._best = level
         low, high = sorted((level, self._best))

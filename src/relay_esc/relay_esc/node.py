@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from koop_msgs.msg import ControlInput, Cost
 from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
@@ -17,16 +18,19 @@ from koop_core.config.fields import Source, check_fields, parse_source, write_fi
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
+from koop_core.port import OTHER
 from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT, Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
-from koop_node.node.entities import Writer
+from koop_node.node.entities import Input, Writer
 from koop_node.node.graph import Listeners, listeners_of, subscribers_of
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import NEWEST, RELIABLE
+from koop_node.node.stamps import to_seconds
 from koop_node.node.wire import codec
 from relay_esc import barrier, directions, relay
 from relay_esc.config import EscConfig
 from relay_esc.level import CostLevel
+from relay_esc.stage import COST, THETA, ControllerProgress, ControllerStage
 
 
 class EscRun(Run):
@@ -47,6 +51,7 @@ class EscRun(Run):
         self._hold_asked = False
         self._publisher: Writer | None = None
         self._command: Publisher | Writer | None = None
+        self._reader: Input | None = None
         self._own: Any = None  # the rig's message, unless that is the answer itself
         # for the types that messages bring, and compiled before the first of them
         first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
@@ -70,7 +75,7 @@ class EscRun(Run):
         writer = self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
 
         def listen() -> None:
-            entities.reader(Cost, "cost", self._on_cost, RELIABLE)
+            self._reader = entities.reader(Cost, "cost", self._on_cost, RELIABLE)
 
         def command(name: str) -> None:
             publisher = self._make_command(entities, source, name)
@@ -96,7 +101,7 @@ class EscRun(Run):
 
     def deactivate(self) -> None:
         self._input.pause()
-        self._publisher = self._command = None
+        self._publisher = self._command = self._reader = None
 
     def parameters_changed(self, names: set[str]) -> None:
         self._take_parameters()
@@ -200,6 +205,41 @@ class EscRun(Run):
         answer.cost_rise_filtered = state.cost_rise_filtered
         answer.swing = state.swing.factor
         answer.gradient, answer.noise, answer.confidence = self._insight(self._params, state)
+
+    # -- compiled -----------------------------------------------------------------------------
+
+    def lend(self) -> tuple[ControllerStage, ControllerProgress] | None:
+        """Return what :func:`relay_esc.stage.answer_next` needs; None where it cannot go on."""
+        reader, writer, origin = self._reader, self._publisher, self._origin
+        if reader is None or writer is None or origin is None or not self._input.steady:
+            return None
+        if self._several or self._command is not None:
+            return None
+        cost = codec(Cost).new()
+        source, cost.model_id = origin
+        cost.header = self._answer.header
+        level = self._level
+        stage = ControllerStage(
+            reader.port(cost, COST), writer.port(self._answer, THETA), self._input.dt, source,
+            np.frombuffer(cost.model_id.encode(), np.uint8), self._params, self._bound,
+            self._hold_asked, level.window - 1,
+        )  # fmt: skip
+        step = self._answer.step
+        return stage, ControllerProgress(step, self._state, self._barrier, level.sum, level.count)
+
+    def take_back(self, before: ControllerProgress, after: ControllerProgress) -> None:
+        """Go on where the compiled code ended."""
+        if (count := after.step - before.step) and self._publisher is not None:
+            self._state, self._barrier = after.relay, after.barrier
+            self._answer, self._level.sum = self._publisher.last(), after.level_sum
+            self._level.count = after.level_count
+            stamp = to_seconds(self._answer.header.stamp)
+            self._input.follow_on(count, stamp, time.monotonic())
+
+    def handle(self, reason: int) -> None:
+        """Do what the compiled code has left to do."""
+        if reason == OTHER and self._reader is not None:
+            self._reader.deliver_last()
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]

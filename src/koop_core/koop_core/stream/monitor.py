@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from koop_core.stream.age import AgeMeter
-from koop_core.stream.arrival import NOTHING, Arrival, classify, timeout_of
+from koop_core.stream.arrival import NOTHING, Arrival, Heard, classify, timeout_of
 from koop_core.stream.report import ERROR, OK, STALE, WARN, NodeFinding
 from koop_core.stream.settings import STREAM
 
@@ -106,6 +106,17 @@ class StreamMonitor:
                 self.restarts += last >= 0
             self._paused = False
         return arrival
+
+    @property
+    def steady(self) -> bool:
+        """Whether the next message may follow on the last one."""
+        return self._stream.step >= 0 and not self._paused
+
+    def follow_on(self, count: int, stamp: float, now: float) -> None:
+        """Take note of messages that followed each on the last, heard until a steady time [s]."""
+        self.count += count
+        self._stream = Heard(self._stream.step + count, 0)
+        self._heard, self._stamp, self._silent = now, stamp, False
 
     def follow(self, dt: float) -> None:
         """Take the stream for one of another sampling time [s], which follows on nothing."""

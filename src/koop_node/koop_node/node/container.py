@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from itertools import pairwise
@@ -47,6 +48,14 @@ def make(words: Sequence[str]) -> list[ManagedNode[Any]]:
     return list(nodes.values())
 
 
+def shortcuts(nodes: list[ManagedNode[Any]]) -> list[Callable[[], None]]:
+    """Return what installed packages do for nodes that share a process, at the node's own pace."""
+    if os.environ.get("KOOP_COMPILED") == "0":
+        return []
+    found = [entry.load()(nodes) for entry in entry_points(group="koop_shortcuts")]
+    return [shortcut for each in found for shortcut in each]
+
+
 def hint(arguments: Sequence[str], nodes: Sequence[str]) -> str:
     """Return what to do where a parameter of one node was given to all of several; else nothing."""
     values = [item for flag, item in pairwise(arguments) if flag in ("-p", "--param")]
@@ -73,4 +82,4 @@ def main() -> int:
         "@NAMESPACE: in that namespace, such as @/rig",
     )
     options = parser.parse_args(remove_ros_args()[1:])
-    return run_nodes(partial(make, options.components))
+    return run_nodes(partial(make, options.components), shortcuts=shortcuts)

@@ -6,7 +6,7 @@ import inspect
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -20,8 +20,10 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer as RosTimer
 
 from koop_core.errors import KoopError
+from koop_core.port import Port
 from koop_node.node import schedule
 from koop_node.node.graph import Listeners, best_effort_only, message_type_of, publishers_of
+from koop_node.node.memory import Memory
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
 from koop_node.process.joining import joining, leaving
@@ -64,12 +66,27 @@ class Writer:
 
     def __init__(self, publisher: Publisher, kind: Any) -> None:
         self.publisher = publisher
-        self._encode = codec(kind).encode
+        self._codec = codec(kind)
+        self._encode = self._codec.encode
         self._send = publisher.handle.publish_raw  # its publish() guards against other threads
 
     def publish(self, message: Any) -> None:
         """Publish a message, of the codec or of the message class."""
         self._send(self._encode(message))
+
+    def port(self, message: Any, names: Sequence[str]) -> Port:
+        """Return what compiled code publishes through; a message says what it does not write."""
+        data = self._encode(message)
+        self._memory.write(data)
+        return self._memory.port(self.publisher, self._codec.places(data), names)
+
+    def last(self) -> Any:
+        """Return the last message that compiled code has published."""
+        return self._codec.decode(self._memory.read())
+
+    @cached_property
+    def _memory(self) -> Memory:
+        return Memory()
 
 
 class Input:
@@ -82,7 +99,7 @@ class Input:
     def __init__(
         self, node: Node, kind: Any, topic: str, deliver: Any, qos: QoSProfile, raw: bool
     ) -> None:
-        self._node = node
+        self._node, self._kind, self._deliver = node, kind, deliver
         self._make = partial(node.create_subscription, kind, topic, deliver, raw=raw)
         self.subscription: Subscription = self._make(qos)
         self.match(publishers_of(node, self.subscription.topic_name))
@@ -95,6 +112,23 @@ class Input:
             self.subscription = self._make(
                 QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
             )
+
+    def port(self, message: Any, names: Sequence[str]) -> Port:
+        """Return what compiled code takes messages from that are laid out as ``message``."""
+        own = codec(self._kind)
+        return self._memory.port(self.subscription, own.places(own.encode(message)), names)
+
+    def last(self) -> Any:
+        """Return the last message that compiled code has taken."""
+        return codec(self._kind).decode(self._memory.read())
+
+    def deliver_last(self) -> None:
+        """Call back with a message that compiled code has taken and cannot read."""
+        self._deliver(self._memory.read(), {"source_timestamp": int(self._memory.info[0])})
+
+    @cached_property
+    def _memory(self) -> Memory:
+        return Memory()
 
     def close(self) -> None:
         """Hear no more."""
@@ -133,7 +167,6 @@ class Entities:
         self._publishers: list[Publisher] = []
         self._open = True
         self._schedule = schedule.current()
-        self._look: Callable[[], object] = self._schedule.look if self._schedule else bool
 
     def publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
         """Create a publisher."""
@@ -148,7 +181,7 @@ class Entities:
 
     def reader(
         self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
-    ) -> None:
+    ) -> Input:
         """Listen as :meth:`dated_subscription` does, to messages that are decoded here.
 
         One that cannot be is reported and goes no further. See :mod:`koop_node.node.wire`.
@@ -163,18 +196,16 @@ class Entities:
                 return
             callback(message, written)
 
-        self._input(kind, topic, take, qos, True)
+        return self._input(kind, topic, take, qos, True)
 
     def subscription(
         self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile
     ) -> Subscription:
         """Create a subscription."""
-        look = self._look
 
         def deliver(message: Any) -> None:
             if self._open:
                 callback(message)
-                look()
 
         made = self._node.create_subscription(kind, topic, deliver, qos)
         self._stack.callback(self._node.destroy_subscription, made)
@@ -196,19 +227,17 @@ class Entities:
         callback: Callable[[Any, float], None],
         qos: QoSProfile,
         raw: bool,
-    ) -> None:
-        look = self._look
-
+    ) -> Input:
         def deliver(*arguments: Any) -> None:
             # the EventsExecutor of rclpy 7.1 gives message and info as one tuple
             message, info = arguments if len(arguments) == 2 else arguments[0]
             if self._open:
                 callback(message, info["source_timestamp"] * 1e-9)
-                look()
 
         deliver.__signature__ = _TWO  # type: ignore[attr-defined]  # what rclpy goes by
         made = self.inputs[topic] = Input(self._node, kind, topic, deliver, qos, raw)
         self._stack.callback(made.close)
+        return made
 
     def service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Service:
         """Create a service."""

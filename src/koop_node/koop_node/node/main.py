@@ -7,15 +7,12 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import rclpy
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from koop_core.config.describe import ARGUMENTS, help_text
@@ -23,6 +20,7 @@ from koop_core.config.parameter import NodeConfig
 from koop_core.errors import InputError
 from koop_node.node import schedule
 from koop_node.node.dds_profile import set_dds_profile
+from koop_node.node.executor import Executor
 from koop_node.node.managed import ManagedNode
 from koop_node.process.housekeeping import Housekeeping
 from koop_node.process.lifeline import end_with_parent
@@ -53,13 +51,18 @@ def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> in
     return run_nodes(make, args)
 
 
-def run_nodes(make: Callable[[], list[ManagedNode[Any]]], args: list[str] | None = None) -> int:
+def run_nodes(
+    make: Callable[[], list[ManagedNode[Any]]],
+    args: list[str] | None = None,
+    shortcuts: Callable[[list[ManagedNode[Any]]], list[Callable[[], None]]] = lambda nodes: [],
+) -> int:
     """Run nodes on one executor until one finishes or the process is told to stop.
 
     SIGINT and SIGTERM end the process cleanly. The handlers only set a flag, so that no callback
     is interrupted and the context stays valid for the last publications.
 
     ``make`` returns the nodes, those that listen before those that speak; rclpy is ready then.
+    ``shortcuts`` returns what is called after the callbacks of what has come.
 
     Returns
     -------
@@ -83,12 +86,17 @@ def run_nodes(make: Callable[[], list[ManagedNode[Any]]], args: list[str] | None
             print(f"error: {_one_line(error)}", file=sys.stderr)
             rclpy.try_shutdown()
             return 2
-        return _spin(nodes, priority, timers)
+        return _spin(nodes, priority, timers, shortcuts(nodes))
 
 
-def _spin(nodes: list[ManagedNode[Any]], priority: int, timers: schedule.Schedule) -> int:
+def _spin(
+    nodes: list[ManagedNode[Any]],
+    priority: int,
+    timers: schedule.Schedule,
+    shortcuts: list[Callable[[], None]],
+) -> int:
     """Run nodes until one finishes or the schedule is asked to end; return the exit code."""
-    executor: Any = EventsExecutor()
+    executor = Executor()
     for node in nodes:
         executor.add_node(node)
     house = Housekeeping(time.monotonic())  # before the first tick, for it takes a while
@@ -97,8 +105,6 @@ def _spin(nodes: list[ManagedNode[Any]], priority: int, timers: schedule.Schedul
     code = 0
     try:
         while not (ended or (timers.asked and all([node.may_end(timers.asked) for node in nodes]))):
-            interrupted = Future()
-            timers.interrupt = partial(interrupted.set_result, None)
             timers.run_due()
             wait = timers.wait(POLL)
             house.tidy(time.monotonic(), wait)
@@ -107,8 +113,9 @@ def _spin(nodes: list[ManagedNode[Any]], priority: int, timers: schedule.Schedul
                 house.settle()  # numba and the kernels have come with the nodes' configuration
                 for problem in apply_priority(priority):
                     nodes[0].get_logger().warning(problem)
-            # spin() would hang in the Jazzy wheels, spin_once() costs 4 us for every callback
-            executor.spin_until_future_complete(interrupted, timeout_sec=wait)
+            executor.run(wait)
+            for go_on in shortcuts:
+                go_on()
             ended = [node for node in nodes if node.exit_code is not None]
         if ended:
             code = ended[0].exit_code or 0

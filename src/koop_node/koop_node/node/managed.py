@@ -76,6 +76,20 @@ class Run:
         """Return level, message and values for /diagnostics, besides what the inputs say."""
         return OK, "", {}
 
+    def lend(self) -> tuple[Any, Any] | None:
+        """Return what compiled code needs to go on with the node's messages; None: it cannot.
+
+        That is what stays the same, and what changes. Such code takes the messages that follow on
+        the last one, each on the one before, and answers them as the node would.
+        """
+        return None
+
+    def take_back(self, before: Any, after: Any) -> None:
+        """Take what has changed of what was lent."""
+
+    def handle(self, reason: int) -> None:
+        """Do what compiled code has left to do; see :mod:`koop_core.port` and the node's stage."""
+
     def samples(self) -> int:
         """Return how many samples were processed, for the rate on /diagnostics."""
         return 0
@@ -146,8 +160,6 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     def finish(self, exit_code: int = 0) -> None:
         """End the process after the current callback; in a container, end the work."""
         self.exit_code = exit_code
-        if self._schedule is not None:
-            self._schedule.interrupt()
 
     def close(self) -> None:
         """Go back to the first state before the process ends; called once, also after a signal."""

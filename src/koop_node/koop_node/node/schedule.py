@@ -5,8 +5,7 @@ callbacks: two switches a tick, and two threads a node. Here the loop that runs 
 wait until the next timer is due.
 
 Messages come before timers: a step that is under way ends before the next one begins, and where
-there is too much to do, ticks are dropped, not messages kept waiting. A timer that is overdue all
-the same interrupts the messages.
+there is too much to do, ticks are dropped, not messages kept waiting.
 """
 
 from __future__ import annotations
@@ -19,8 +18,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Protocol
-
-GRACE = 0.02  # [s] that a timer waits for messages
 
 
 class Timer(Protocol):
@@ -57,10 +54,8 @@ class Schedule:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
-        self.interrupt: Callable[[], object] = bool
-        """Lets the executor return after its callback; not for a handler of signals."""
         self.asked = 0
-        """The signal that asked it to return as soon as may be; 0: none has."""
+        """The signal that asked the process to end; 0: none has."""
         self._number = itertools.count()
         self._heap: list[tuple[float, int, ScheduledTimer]] = []
 
@@ -75,11 +70,6 @@ class Schedule:
         if not self._heap:
             return most
         return min(max(self._heap[0][0] - self.clock(), 0.0), most)
-
-    def look(self) -> None:
-        """Interrupt the executor if a timer is overdue; called after every message."""
-        if self.asked or (self._heap and self.clock() - self._heap[0][0] > GRACE):
-            self.interrupt()
 
     def run_due(self) -> None:
         """Call what is due, each once: periods that are past are dropped, not made up for."""

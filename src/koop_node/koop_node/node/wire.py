@@ -17,6 +17,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from koop_core.cdr import Array, CdrError, MessageType, Primitive, Struct, Text, Walk
 
@@ -57,6 +58,24 @@ class Packing(NamedTuple):
 
     packer: struct.Struct
     lengths: tuple[int, ...]
+
+
+class Places(NamedTuple):
+    """Where the values of a message lie, and of all others whose length words are the same.
+
+    Attributes
+    ----------
+    at : dict of int
+        Offset of each number, text or first element from the message's begin, by dotted name.
+    guards : ndarray of int64, shape (G, 2)
+        Offset and value of each length word.
+    size : int
+        Bytes of the message.
+    """
+
+    at: dict[str, int]
+    guards: NDArray[np.int64]
+    size: int
 
 
 class Codec:
@@ -100,6 +119,25 @@ class Codec:
             return self._build(values)
         except UnicodeDecodeError as error:
             raise WireError(f"a {self.name} holds text that is not UTF-8: {error}") from None
+
+    def places(self, data: bytes) -> Places:
+        """Return where the values of a message lie; WireError as :meth:`decode`."""
+        lengths, at, end = iter(self._find(data).lengths), {}, len(LITTLE)
+        guards = []
+
+        def take(size: int, count: int) -> int:
+            nonlocal end
+            begin = end + -(end - len(LITTLE)) % size if count else end
+            end = begin + count * size
+            return begin
+
+        for leaf in self._leaves:
+            count = 1
+            if leaf.kind != "number":
+                count = next(lengths)
+                guards.append((take(4, 1), count))
+            at[leaf.path] = take(struct.calcsize(f"<{leaf.format}"), count)
+        return Places(at, np.array(guards).reshape(-1, 2), end)
 
     def _layout(self, lengths: tuple[int, ...]) -> Packing:
         if lengths not in self._layouts:

@@ -19,6 +19,7 @@ from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
+from koop_node.node.entities import Input
 from koop_node.node.graph import listeners_of
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
 from koop_node.node.qos import NEWEST, RELIABLE
@@ -70,10 +71,10 @@ class PlantRun(Run):
         self.inputs = (self._input,)
         self._sent = SentStates(pace.period(config.dt))
         self._round_trip = math.nan
-        self.late = 0
         self._state_message = codec(MeasuredState).new()
         self._ground_truth_message = codec(PlantTruth).new()
         self._ground_truth_message.header = self._state_message.header
+        self._reader: Input | None = None
         self._outlets: Outlets | None = None
         """There while the node is active."""
         self._on_clock_topic = bool(node.get_parameter("use_sim_time").value)
@@ -89,11 +90,11 @@ class PlantRun(Run):
             self.start(entities)
 
         self._outlets = outlets
-        entities.reader(ControlInput, "theta", self.on_theta, self.theta_qos)
+        self._reader = entities.reader(ControlInput, "theta", self.on_theta, self.theta_qos)
         entities.when_heard(needed, start)
 
     def deactivate(self) -> None:
-        self._outlets = None
+        self._outlets = self._reader = None
 
     def start(self, entities: Entities) -> None:
         """Begin, or go on after a pause: all listeners are there."""
@@ -101,6 +102,10 @@ class PlantRun(Run):
 
     def on_theta(self, message: Any, written: float) -> None:
         """Take a control input."""
+        raise NotImplementedError
+
+    def told(self) -> str:
+        """Return what is said of the steps at the end."""
         raise NotImplementedError
 
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
@@ -181,7 +186,7 @@ class PlantRun(Run):
     def _end(self) -> None:
         assert self._outlets is not None
         self._outlets.acknowledged(1.0)
-        self._node.get_logger().info(f"done: {self._k} steps, {self.late} late ticks")
+        self._node.get_logger().info(f"done: {self._k} steps, {self.told()}")
         self._node.finish(0)
 
     def _usable(self, message: Any) -> bool:

@@ -6,13 +6,24 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from koop_msgs.msg import ControlInput
+
+from koop_core.port import OTHER
 from koop_core.stream.resend import Due, Resend
 from koop_node.node.managed import ERROR, OK, Entities, ManagedNode
+from koop_node.node.wire import codec
 from vdp_plant.config import PACING, PaceConfig
 from vdp_plant.node.base import PlantRun
+from vdp_plant.stage import (
+    GROUND_TRUTH,
+    STATE,
+    THETA,
+    WINDOW,
+    PlantProgress,
+    PlantStage,
+)
 
 CHECK_PERIOD = 0.05  # [s] between looks whether an answer is overdue
-WINDOW = 2500  # steps that may be on their way to a subscriber: half of what a writer keeps
 SILENT = "the lifter (koopman_lifter) or the controller (relay_esc) is silent"
 
 
@@ -26,6 +37,7 @@ class LockstepRun(PlantRun):
         self._held_since: float | None = None
         self._holds = True
         """Whether the plant waits for listeners that fall behind."""
+        self._compiled = 0  # steps without Python
 
     def start(self, entities: Entities) -> None:
         entities.timer(CHECK_PERIOD, self._check_answer)
@@ -43,10 +55,13 @@ class LockstepRun(PlantRun):
         super().parameters_changed(names)
         self._question.timeout = self._node.parameters[PaceConfig].theta_timeout
 
+    def told(self) -> str:
+        return f"{self._compiled} of them compiled"
+
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
         if self._question.overdue:
             return ERROR, SILENT, {"command": "overdue"}
-        return OK, "running", {"command": "ok"}
+        return OK, "running", {"command": "ok", "compiled_steps": self._compiled}
 
     def _ask(self) -> None:
         if self._holds and self._k % WINDOW == 0 and not self._all_keep_up(CHECK_PERIOD):
@@ -91,6 +106,48 @@ class LockstepRun(PlantRun):
         self._advance(self._theta, message.step)
         if self._node.exit_code is None:
             self._ask()
+
+    # -- compiled -----------------------------------------------------------------------------
+
+    def lend(self) -> tuple[PlantStage, PlantProgress] | None:
+        """Return what :func:`vdp_plant.stage.step_next` needs; None where it cannot go on."""
+        reader, outlets, question = self._reader, self._outlets, self._question
+        if reader is None or outlets is None or outlets.clock is not None:
+            return None
+        going = question.open and not question.overdue and self._node.exit_code is None
+        if not going or len(self._theta) > 1 or not self._input.steady:
+            return None
+        theta = codec(ControlInput).new()
+        theta.header, theta.theta = self._state_message.header, [0.0]
+        stage = PlantStage(
+            reader.port(theta, THETA), outlets.state.port(self._state_message, STATE),
+            outlets.ground_truth.port(self._ground_truth_message, GROUND_TRUTH), self._params,
+            float(self._steps),
+        )  # fmt: skip
+        return stage, PlantProgress(
+            self._k, self._x, self._y, self._theta[0], self._theta_applied[0]
+        )
+
+    def take_back(self, before: PlantProgress, after: PlantProgress) -> None:
+        """Go on where the compiled code ended."""
+        outlets, count = self._outlets, after.k - before.k
+        if not count or outlets is None:
+            return
+        now = time.monotonic()
+        self._compiled += count
+        self._k, self._x, self._y, self._theta[0], self._theta_applied[0] = after
+        self._theta_step = self._k - 1
+        self._state_message = state = outlets.state.last()
+        self._ground_truth_message = outlets.ground_truth.last()
+        self._ground_truth_message.header = state.header
+        self._sent.send(self._k, now)
+        self._question.ask(now)
+        self._input.follow_on(count, self._theta_step * self._params.dt, now)
+
+    def handle(self, reason: int) -> None:
+        """Do what the compiled code has left to do."""
+        if reason == OTHER and self._reader is not None:
+            self._reader.deliver_last()
 
     def _check_answer(self) -> None:
         if self._held_since is not None:

@@ -26,7 +26,7 @@ class TimedRun(PlantRun):
         super().__init__(node)
         self._period = node.parameters[PaceConfig].period(self._params.dt)
         self._ticks = Ticks(self._period)
-        self._late_before = self._k_before = 0
+        self.late = self._late_before = self._k_before = 0
         self._timer: Timer | None = None
         self._behind, self._round_trips = Durations(), Durations()
         self._command = "waiting"
@@ -35,6 +35,9 @@ class TimedRun(PlantRun):
     def start(self, entities: Entities) -> None:
         self._ticks.start(time.monotonic())
         self._timer = entities.timer(self._period, self._tick)
+
+    def told(self) -> str:
+        return f"{self.late} late ticks"
 
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
         late, self._late_before = self.late - self._late_before, self.late

@@ -1,0 +1,108 @@
+"""Subscriptions and publishers as compiled code sees them: rcl's functions, fixed places. Pure.
+
+Checked against rcl 9.2 (Jazzy) and its public interface::
+
+    rcl_ret_t rcl_take_serialized_message(
+        const rcl_subscription_t *, rcl_serialized_message_t *, rmw_message_info_t *,
+        rmw_subscription_allocation_t *);
+    rcl_ret_t rcl_publish_serialized_message(
+        const rcl_publisher_t *, const rcl_serialized_message_t *,
+        rmw_publisher_allocation_t *);
+
+A message of other length words than the last one, or one that does not fit, is Python's to read.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.foreign import call
+from koop_core.kernels import njit
+
+IDLE, OTHER, FAILED, MORE = range(4)
+"""Why compiled code stops: nothing waits, a message is Python's, rcl failed; MORE: it goes on."""
+PLAIN = MORE
+
+
+class Port(NamedTuple):
+    """A subscription or a publisher, the memory of its message, and where its values lie.
+
+    Attributes
+    ----------
+    function, handle : int
+        Addresses of rcl's function and of the entity.
+    message : ndarray of int64, shape (8,)
+        An rcl_serialized_message_t: address, bytes and capacity of its buffer, allocator.
+    info : ndarray of int64, shape (INFO,)
+        An rmw_message_info_t.
+    data : ndarray of uint8, shape (CAPACITY,)
+        The buffer.
+    guards : ndarray of int64, shape (G, 2)
+        Offset and value of each length word.
+    size : int
+        Bytes of a message.
+    at : ndarray of int64, shape (V,)
+        Offsets of the values that the code reads or writes, in its order.
+    """
+
+    function: int
+    handle: int
+    message: NDArray[np.int64]
+    info: NDArray[np.int64]
+    data: NDArray[np.uint8]
+    guards: NDArray[np.int64]
+    size: int
+    at: NDArray[np.int64]
+
+
+@njit()
+def receive(port: Port) -> int:
+    """Take a message: return IDLE, PLAIN or OTHER; what is OTHER is in the memory, too."""
+    message, data = port.message, port.data
+    address = message[0]
+    if call(port.function, port.handle, message.ctypes.data, port.info.ctypes.data, 0) != 0:
+        return IDLE
+    if message[0] != address or message[1] < port.size or data[0] != 0 or data[1] != 1:
+        return OTHER
+    for i in range(port.guards.shape[0]):
+        at = port.guards[i, 0]
+        if data[at : at + 4].view(np.uint32)[0] != port.guards[i, 1]:
+            return OTHER
+    return PLAIN
+
+
+@njit()
+def send(port: Port) -> bool:
+    """Publish what is in the memory; return whether rcl did."""
+    return call(port.function, port.handle, port.message.ctypes.data, 0, 0) == 0
+
+
+@njit()
+def floats(port: Port, i: int, count: int) -> NDArray[np.float64]:
+    """Return the i-th of the port's values, so many float64 in a row, as an array over it."""
+    at = port.at[i]
+    return port.data[at : at + 8 * count].view(np.float64)
+
+
+@njit()
+def word(port: Port, i: int) -> NDArray[np.int64]:
+    """Return the i-th of the port's values, an integer of 64 bits, as an array of one over it."""
+    at = port.at[i]
+    return port.data[at : at + 8].view(np.int64)
+
+
+@njit()
+def half_word(port: Port, i: int) -> NDArray[np.int32]:
+    """Return the i-th of the port's values, an integer of 32 bits, as an array of one over it."""
+    at = port.at[i]
+    return port.data[at : at + 4].view(np.int32)
+
+
+@njit()
+def copy_header(source: Port, target: Port) -> None:
+    """Copy the header: all that lies before the first of the ports' values."""
+    for i in range(4, source.at[0]):
+        target.data[i] = source.data[i]

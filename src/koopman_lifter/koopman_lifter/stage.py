@@ -1,0 +1,118 @@
+"""What the lifter does with a state that follows on the last one: compiled, from DDS to DDS.
+
+The answer is :func:`koopman_lifter.cost.answer`'s; what is not plain is left to the node.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.kernels import njit
+from koop_core.port import (
+    FAILED,
+    MORE,
+    OTHER,
+    PLAIN,
+    Port,
+    copy_header,
+    floats,
+    receive,
+    send,
+    word,
+)
+from koop_core.stream.arrival import Arrival
+from koopman_lifter import change, cost
+from koopman_lifter.change import Listening, Spectrum, Tally
+from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
+
+STATE = ("step", "lockstep", "x")
+COST = ("step", "r", "y_out", "settling")
+UNUSABLE, CHANGED = (
+    10,
+    11,
+)  # reasons to stop after a state: no cost of it, the watch found something
+
+
+class LifterStage(NamedTuple):
+    """What stays the same; see :mod:`koopman_lifter.cost` and :mod:`koopman_lifter.change`.
+
+    Attributes
+    ----------
+    input, output : Port
+        With the values ``STATE`` and ``COST``.
+    sample : ndarray, shape (channels,)
+        Measured state.
+    seen : ndarray, shape (1,) or (channels,)
+        What the watch looks at: the contrast if there is one, else the state.
+    listening : bool
+        Whether the watch looks for the oscillation still.
+    """
+
+    input: Port
+    output: Port
+    source: int
+    lifting: Lifting
+    detector: DetectorParams
+    work: Workspace
+    sample: NDArray[np.float64]
+    seen: NDArray[np.float64]
+    listening: bool
+    ear: Listening
+    threshold: float
+    spectrum: Spectrum
+
+
+class LifterProgress(NamedTuple):
+    """What changes: the step of the last state, the detector and the watch."""
+
+    step: int
+    detector: DetectorState
+    tally: Tally
+
+
+@njit()
+def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, LifterProgress]:
+    """Answer the next state; return a reason to stop, or MORE."""
+    port, answer, sample, work = stage.input, stage.output, stage.sample, stage.work
+    got = receive(port)
+    if got != PLAIN:
+        return got, progress
+    step = progress.step + 1
+    if word(port, 0)[0] != step or port.data[port.at[1]] != 1:
+        return OTHER, progress
+    measured = floats(port, 2, sample.size)
+    for i in range(sample.size):
+        sample[i] = measured[i]
+    r, y_out, settling, detector = cost.answer(
+        stage.source, stage.lifting, stage.detector, progress.detector, Arrival.NEXT, step, sample,
+        work,
+    )  # fmt: skip
+    copy_header(port, answer)
+    word(answer, 0)[0] = step
+    floats(answer, 1, 1)[0] = r
+    floats(answer, 2, 1)[0] = y_out
+    answer.data[answer.at[3]] = settling
+    if not send(answer):
+        return FAILED, progress
+    seen, tally = stage.seen, progress.tally
+    if stage.source == cost.LIFTED and stage.lifting.projector.shape[0] == 1:
+        seen[0] = 0.0
+        for i in range(work.z.size):
+            seen[0] += stage.lifting.projector[0, i] * work.z[i]
+    else:
+        for i in range(sample.size):
+            seen[i] = sample[i]
+    reason = MORE
+    if stage.listening:
+        change.listen(stage.ear, step, seen)
+    else:
+        tally = change.follow(stage.threshold, stage.spectrum, tally, step, seen)
+        if max(tally.above.s, tally.below.s) > stage.threshold:
+            reason = CHANGED
+    if math.isnan(r):
+        reason = UNUSABLE
+    return reason, LifterProgress(step, detector, tally)
