@@ -1,9 +1,10 @@
 """Calls the callbacks of nodes, woken by the middleware through file descriptors.
 
-A subscription, service or client that gets something new has DDS write to a descriptor of its own
-(libc's ``eventfd_write`` takes the place of a callback: its arguments are a descriptor and the
-number of what is new), on which the thread of the nodes waits. It takes all that has come, and is
-not woken for it again; rclpy's EventsExecutor keeps an event for every message, and takes again.
+A subscription that gets a message has DDS write to a descriptor of its own, a service or a client
+to one of its node: libc's ``eventfd_write`` takes the place of a callback, for its arguments are a
+descriptor and the number of what is new. The thread of the nodes waits for the descriptors, takes
+all that has come, and is not woken for it again; rclpy's EventsExecutor keeps an event for every
+message, and takes again.
 
 Timers are of :mod:`koop_node.node.schedule`; there are no waitables in these nodes, see
 :class:`koop_node.node.entities.WithoutEvents`.
@@ -13,17 +14,22 @@ from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import select
-from collections.abc import Callable
-from functools import cache, partial
+from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 from rclpy.client import Client
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 AT_ONCE = 50  # messages of one entity before others have their turn
+
+Take = Callable[[Any], bool]
+"""Takes what has come to an entity and calls back; returns whether there was something."""
 
 
 class Executor:
@@ -31,10 +37,12 @@ class Executor:
 
     def __init__(self) -> None:
         self._nodes: list[Node] = []
-        self._entities: dict[Any, int] = {}  # their descriptors
-        self._handlers: dict[int, Callable[[], bool]] = {}
+        self._descriptors: dict[Any, int] = {}  # by subscription or node
+        self._entities: dict[int, dict[Any, Take]] = {}  # by descriptor
         self._epoll = select.epoll()
         self._changed = False
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a fleet needs thousands
 
     def add_node(self, node: Node) -> None:
         """Take in a node with all of its entities, also those that it makes later."""
@@ -66,41 +74,56 @@ class Executor:
             self._follow()
         select.select([self._epoll], [], [], timeout)  # which does not round to milliseconds
         for descriptor, _ in self._epoll.poll(0):
-            handler = self._handlers.get(descriptor)
-            if handler is None:  # another callback has destroyed it
-                continue
             os.eventfd_read(descriptor)
-            for _ in range(AT_ONCE):
-                if not handler():
-                    break
-            else:
-                os.eventfd_write(descriptor, 1)
+            for entity, take in list(self._entities[descriptor].items()):
+                for _ in range(AT_ONCE):
+                    if not (_is_there(entity) and take(entity)):
+                        break
+                else:
+                    os.eventfd_write(descriptor, 1)
 
     def _follow(self) -> None:
         """Listen to what the nodes have now."""
         self._changed = False
-        there: dict[Any, Callable[[Any], bool]] = {
-            entity: kind
-            for node in self._nodes
-            for kind, entities in (
-                (_take_message, node.subscriptions),
-                (_take_request, node.services),
-                (_take_response, node.clients),
-            )
-            for entity in entities
-        }
-        for entity in self._entities.keys() - there.keys():
-            descriptor = self._entities.pop(entity)
-            del self._handlers[descriptor]
-            _notify(entity, None)
-            self._epoll.unregister(descriptor)
-            os.close(descriptor)
-        for entity in there.keys() - self._entities.keys():
-            descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-            self._entities[entity] = descriptor
-            self._handlers[descriptor] = partial(there[entity], entity)
-            self._epoll.register(descriptor, select.EPOLLIN)
-            _notify(entity, descriptor)
+        there = {entity: (owner, take) for owner, entity, take in self._find()}
+        for entities in self._entities.values():
+            for entity in entities.keys() - there.keys():
+                del entities[entity]
+                if _is_there(entity):
+                    _notify(entity, None, None)
+        for owner, descriptor in list(self._descriptors.items()):
+            if not self._entities[descriptor]:
+                del self._descriptors[owner], self._entities[descriptor]
+                self._epoll.unregister(descriptor)
+                os.close(descriptor)
+        for entity, (owner, take) in there.items():
+            if owner not in self._descriptors:
+                descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+                self._descriptors[owner], self._entities[descriptor] = descriptor, {}
+                self._epoll.register(descriptor, select.EPOLLIN)
+            descriptor = self._descriptors[owner]
+            if entity not in self._entities[descriptor]:
+                self._entities[descriptor][entity] = take
+                _notify(entity, _eventfd_write(), descriptor)
+
+    def _find(self) -> Iterator[tuple[Any, Any, Take]]:
+        """Yield each entity with whose descriptor it shares, and what takes from it."""
+        for node in self._nodes:
+            for subscription in node.subscriptions:
+                yield subscription, subscription, _take_message
+            for service in node.services:
+                yield node, service, _take_request
+            for client in node.clients:
+                yield node, client, _take_response
+
+
+def _is_there(entity: Any) -> bool:
+    """Return whether an entity was not destroyed, as by another's callback."""
+    try:
+        with entity.handle:
+            return True
+    except InvalidHandle:
+        return False
 
 
 def _take_message(subscription: Any) -> bool:
@@ -154,14 +177,12 @@ def _setters() -> dict[type, Any]:
     return setters
 
 
-def _notify(entity: Any, descriptor: int | None) -> None:
-    """Have DDS write to a descriptor when an entity gets something new; None: no more."""
-    function = None
-    if descriptor is not None:
-        function = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
-    try:
-        with entity.handle:
-            _setters()[type(entity)](entity.handle.pointer, function, descriptor)
-    except Exception:  # destroyed already
-        if descriptor is not None:
-            raise
+@cache
+def _eventfd_write() -> Any:
+    return ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
+
+
+def _notify(entity: Any, function: Any, descriptor: int | None) -> None:
+    """Have DDS call a function with a descriptor when an entity gets something new; None: no."""
+    with entity.handle:
+        _setters()[type(entity)](entity.handle.pointer, function, descriptor)
