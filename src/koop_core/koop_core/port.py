@@ -102,7 +102,12 @@ def half_word(port: Port, i: int) -> NDArray[np.int32]:
 
 
 @njit()
-def copy_header(source: Port, target: Port) -> None:
-    """Copy the header: all that lies before the first of the ports' values."""
-    for i in range(4, source.at[0]):
+def copy_header(source: Port, target: Port) -> bool:
+    """Copy the stamp; return False, and do nothing, where the frames are not the same."""
+    at, length = source.guards[0, 0] + 4, source.guards[0, 1]
+    for i in range(at, at + length):
+        if source.data[i] != target.data[i]:
+            return False
+    for i in range(4, 12):
         target.data[i] = source.data[i]
+    return True

@@ -49,6 +49,11 @@ def test_a_gap_longer_than_the_timeout_follows_on_nothing(monitor):
     assert monitor.silences == 1
 
 
+def test_a_step_that_no_run_reaches_is_unusable_and_nothing_follows_on_it(monitor):
+    assert feed(monitor, [0, 2**64 - 1, 2**63 - 1, 1]) == [RESTART, TOO_OLD, TOO_OLD, NEXT]
+    assert (monitor.unusable, monitor.missed) == (2, 0)
+
+
 def test_only_the_steps_decide_what_follows(monitor):
     assert monitor.hear(4, 1000.0, 0.0) == JOIN
     assert monitor.hear(5, 0.0, 99.0) == NEXT  # neither the clock nor the stamp: a replay is alike

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 
-from koop_core.port import IDLE, OTHER, PLAIN, floats, receive, send, word
+from koop_core.port import IDLE, OTHER, PLAIN, copy_header, floats, receive, send, word
 from koop_node.node.memory import CAPACITY, Memory
 from koop_node.node.wire import LITTLE, codec
 
@@ -90,12 +90,17 @@ def test_compiled_code_reads_and_writes_what_rclpy_does(ends):
     assert word(taking, 0)[0] == 8
     assert floats(taking, 1, 2).tolist() == [3.0, 4.0]
 
+    assert copy_header(taking, giving)
     word(giving, 0)[0] = 9
     floats(giving, 1, 2)[:] = (5.0, 6.0)
     assert send(giving)
     assert wait_for(partial(receive, taking)) == PLAIN
     taken = deserialize_message(inbox.read(), MeasuredState)
     assert taken == state(step=9, x=(5.0, 6.0))
+
+    publisher.publish(state(frame_id="rug"))
+    assert wait_for(partial(receive, taking)) == PLAIN
+    assert not copy_header(taking, giving)  # another frame's text is Python's to read
 
 
 def test_what_is_laid_out_otherwise_torn_or_too_large_is_pythons(ends):

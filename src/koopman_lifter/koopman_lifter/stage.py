@@ -82,7 +82,7 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
     if got != PLAIN:
         return got, progress
     step = progress.step + 1
-    if word(port, 0)[0] != step or port.data[port.at[1]] != 1:
+    if word(port, 0)[0] != step or port.data[port.at[1]] != 1 or not copy_header(port, answer):
         return OTHER, progress
     measured = floats(port, 2, sample.size)
     for i in range(sample.size):
@@ -91,7 +91,6 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
         stage.source, stage.lifting, stage.detector, progress.detector, Arrival.NEXT, step, sample,
         work,
     )  # fmt: skip
-    copy_header(port, answer)
     word(answer, 0)[0] = step
     floats(answer, 1, 1)[0] = r
     floats(answer, 2, 1)[0] = y_out

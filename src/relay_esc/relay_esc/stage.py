@@ -90,13 +90,12 @@ def answer_next(
     plain = plain and progress.level_count < stage.level_most
     for i in range(stage.model_id.size):
         plain = plain and port.data[port.at[6] + i] == stage.model_id[i]
-    if not plain:
+    if not plain or not copy_header(port, answer):
         return OTHER, progress
     state, barrier_state, holding, saturated = barrier.answer(
         stage.params, stage.bound, progress.relay, progress.barrier, Arrival.NEXT, False, False, r,
         stage.hold_asked, floats(port, 5, 1)[0],
     )  # fmt: skip
-    copy_header(port, answer)
     word(answer, 0)[0] = step
     floats(answer, 1, 1)[0] = state.output
     answer.data[answer.at[2]] = state.epsilon

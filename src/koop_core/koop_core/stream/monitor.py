@@ -23,6 +23,9 @@ from koop_core.stream.arrival import NOTHING, Arrival, Heard, classify, timeout_
 from koop_core.stream.report import ERROR, OK, STALE, WARN, NodeFinding
 from koop_core.stream.settings import STREAM
 
+LARGEST = 2**63 - 2
+"""Largest step."""
+
 
 class StreamMonitor:
     """Follows the steps of one topic.
@@ -85,6 +88,9 @@ class StreamMonitor:
         matter, as in lockstep: its source waits for the answer.
         """
         last = self._stream.step
+        if step > LARGEST:  # of a message's 64 bits, kernels take 63
+            self.reject(f"step {step}: no run is that long")
+            return Arrival.TOO_OLD
         if not math.isnan(written):
             if step < last - STREAM.window:
                 self._meter.reset()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import weakref
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
@@ -30,10 +32,8 @@ class Memory:
         )
         if code:
             raise MemoryError(f"no memory for a message: rcutils returns {code}")
+        weakref.finalize(self, _free, self.message)
         self._watch()
-
-    def __del__(self) -> None:
-        _rcutils()[0].rcutils_uint8_array_fini(self.message.ctypes.data)
 
     def _watch(self) -> None:
         address, _, capacity = self.message[:3].tolist()
@@ -59,6 +59,10 @@ class Memory:
             _functions()[take], entity.handle.pointer, self.message, self.info, self.data,
             places.guards, places.size, np.array([places.at[name] for name in names]),
         )  # fmt: skip
+
+
+def _free(message: NDArray[np.int64]) -> None:
+    _rcutils()[0].rcutils_uint8_array_fini(message.ctypes.data)
 
 
 @cache
