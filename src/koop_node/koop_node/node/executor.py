@@ -17,6 +17,7 @@ import os
 import resource
 import select
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
@@ -42,7 +43,8 @@ class Executor:
         self._epoll = select.epoll()
         self._changed = False
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a fleet needs thousands
+        with suppress(OSError, ValueError):  # the system may have lowered its own limit
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # a fleet needs thousands
 
     def add_node(self, node: Node) -> None:
         """Take in a node with all of its entities, also those that it makes later."""
