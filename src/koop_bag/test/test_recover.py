@@ -125,7 +125,7 @@ def test_what_a_killed_recorder_had_kept_is_in_the_recovered_bag(tmp_path, messa
     writer.flush()  # and it is never closed
     assert recover(tmp_path / "run", tmp_path / "saved").messages == 1
     with BagReader(tmp_path / "saved") as reader:
-        lines = reader.description()
+        lines = reader.description
     assert (lines["custom_data"], lines["ros_distro"]) == ({"parameters": "a: 1\n"}, "rolling")
     text = (tmp_path / "saved" / "metadata.yaml").read_text()
     inner = yaml.safe_load(text)["rosbag2_bagfile_information"]

@@ -219,7 +219,7 @@ def test_a_ring_that_was_killed_is_read_as_far_as_it_was_written(tmp_path):
     with BagReader(copy) as reader:
         assert not reader.complete
         files = [path.name for path in reader.files]
-        assert reader.description()["relative_file_paths"] == files
+        assert reader.description["relative_file_paths"] == files
         torn = [m.sequence for m in reader.messages(["/state"])]
     recover(copy, tmp_path / "whole")
     assert read_steps(tmp_path / "whole")["/state"] == [number - 1 for number in torn]

@@ -84,8 +84,8 @@ class BagReader:
                 self._contents.append(survey(opened.enter_context(closing(McapFile(file)))))
                 self._take_in(self._contents[-1])
             described: dict[Any, Any] = {}
-            with suppress(BagError):  # description() raises it again
-                described = self.description()
+            with suppress(BagError):  # what asks for it raises it again
+                described = self.description
             check_messages_plain(described, self.path)
             self._files = opened.pop_all()
         self.complete = all(item.file.complete for item in self._contents)
@@ -104,17 +104,14 @@ class BagReader:
         """Bytes of all files."""
         return sum(item.file.size for item in self._contents)
 
-    def description(self) -> dict[Any, Any]:
-        """Return the inner map of the bag's `metadata.yaml`; empty where there is none."""
-        return self._description
-
     @cached_property
-    def _description(self) -> dict[Any, Any]:
+    def description(self) -> dict[Any, Any]:
+        """The inner map of the bag's `metadata.yaml`; empty where there is none."""
         return read_description(self.notes, self.files[0].parent)
 
     def custom_data(self) -> dict[str, str]:
         """The bag's `custom_data`."""
-        return custom_texts(self.description())
+        return custom_texts(self.description)
 
     def inactive_steps(self, topic: str) -> int:
         """Return the steps of a topic that passed while its publisher or the recorder was inactive.

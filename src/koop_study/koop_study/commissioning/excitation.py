@@ -57,6 +57,11 @@ def as_loaded(theta: NDArray[np.float64], x: NDArray[np.float64], dt: float) -> 
     return Loaded(np.ascontiguousarray(x.T), number == 0, theta, time)
 
 
+def longest(rig: RandomRig, time: float) -> float:
+    """Return how long an excitation of a knob may take [s], of slowest times and ten periods."""
+    return time * (rig.slowest + FAMILY.periods / rig.frequency)
+
+
 def file_of(rig: RandomRig, rate: float, time: float) -> RigFile:
     """Return the rig file that an engineer would write.
 
@@ -70,12 +75,11 @@ def file_of(rig: RandomRig, rate: float, time: float) -> RigFile:
         That the excitation may take: slowest times of the amplitude and ten periods.
     """
     p = rig.params
-    longest = time * (rig.slowest + FAMILY.periods / rig.frequency)
     return RigFile(
         state_source(rig.channels), "/knob:data", dt=p.dt,
         theta_min=p.theta_min, theta_max=p.theta_max, theta_start=rig.theta_initial,
         theta_rate=rate * (p.theta_max - p.theta_min) / rig.time, theta_safe=rig.theta_initial,
-        objective=rig.objective, time=max(longest, 1.0),
+        objective=rig.objective, time=max(longest(rig, time), 1.0),
     )  # fmt: skip
 
 

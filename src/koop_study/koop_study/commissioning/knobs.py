@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from koop_study.commissioning.excitation import excite, training_of
+from koop_study.commissioning.excitation import excite, longest, training_of
 from koop_study.commissioning.work import EARLIER
 from koop_study.family.config import FamilyConfig
 from koop_study.family.knobs import draw_knobs
 from koop_study.family.loop import RigController, close, noise_of
-from koop_study.family.settings import FAMILY
 from koop_tune.excitation.design import KNOWN
 from koop_tune.search.agreement import find_faults, measure
 from koop_tune.search.findings import NoOptimum
@@ -41,8 +40,7 @@ def commission_knobs(
     """
     rig = draw_knobs(FamilyConfig(**family), seed, n, condition, useless)
     own, dt = rig.rig, rig.rig.params.dt
-    time = n * excitation * (own.slowest + FAMILY.periods / own.frequency)
-    file = rig.file(rate, time)
+    file = rig.file(rate, n * longest(own, excitation))
     recorded = excite(own, file, seed + EARLIER, rig)
     design = recorded.design
     row: dict[str, Any] = {
