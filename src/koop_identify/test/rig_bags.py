@@ -3,7 +3,6 @@
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from scipy.linalg import expm
 
 from koop_identify.recording.samples import recorded_source
 
@@ -14,9 +13,10 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def oscillation(t, phase=0.0):
-    """x(t) of x' = A x from [cos, sin] of the phase, shape (n, len(t))."""
-    start = np.array([np.cos(phase), np.sin(phase)])
-    return (expm(A * np.asarray(t)[:, None, None]) @ start).T
+    """x(t) of x' = A x from [cos, sin] of the phase, shape (2, len(t)): it turns and decays."""
+    t = np.asarray(t)
+    x = np.exp(-0.1 * t) * [np.cos(phase - 2.0 * t), np.sin(phase - 2.0 * t)]
+    return np.asfortranarray(x)  # a sample is written at a time
 
 
 def write_numbers(writer, topic, times, values):

@@ -206,14 +206,13 @@ def test_the_cost_of_any_states_under_a_model_is_that_of_the_node(pressure, mode
     costs = costs_of(read(pressure, reading(PRESSURE), model=model), model)
     states = np.ascontiguousarray(read_signals(pressure, reading(PRESSURE)).x)
     lifter, lifting = LifterConfig(dt=DT), load(model).lifting()
-    detector, work = cost.initial(), cost.workspace(lifting)
+    detector, work, params = cost.initial(), cost.workspace(lifting), lifter.detector_params()
     r = np.empty(4000)
     for k in range(r.size):
         arrival = int(Arrival.NEXT if k else Arrival.JOIN)  # no step 0: it joins
         r[k], _, _, detector = cost.answer(
-            lifter.source, lifting, lifter.detector_params(), detector, arrival, k + 1, states[k],
-            work,
-        )  # fmt: skip
+            lifter.source, lifting, params, detector, arrival, k + 1, states[k], work
+        )
     np.testing.assert_array_equal(costs[f"r under {load(model).model_id}"][: r.size], r)
     assert np.isfinite(r).sum() > 2000
 

@@ -29,9 +29,9 @@ def reference(config: PlantConfig, theta: float, start: np.ndarray, t: float) ->
 
 
 def integrate(config: PlantConfig, theta: float, start: np.ndarray, steps: int) -> np.ndarray:
-    x, y = start
+    (x, y), params = start, config.params()
     for k in range(steps):
-        x, y = dynamics.step(config.params(), k, x, y, theta)
+        x, y = dynamics.step(params, k, x, y, theta)
     return np.array([x, y])
 
 
@@ -67,11 +67,11 @@ def test_the_interference_is_the_paper_s_and_corrupts_both_components():
 
 def test_the_amplitude_of_the_limit_cycle_grows_with_the_distance_from_theta_star():
     """Without forcing the cycle's amplitude is about 2 sqrt(1 + (theta - theta*)^2) (Wang 2000)."""
-    config = PlantConfig(forcing_amplitude=0.0, epsilon0=0.1, epsilon0_drift=0.0)
+    params = PlantConfig(forcing_amplitude=0.0, epsilon0=0.1, epsilon0_drift=0.0).params()
     for theta in (-3.0, -2.0, -1.0):
         x, y, largest = 7.0, 0.0, 0.0
         for k in range(60_000):
-            x, y = dynamics.step(config.params(), k, x, y, theta)
+            x, y = dynamics.step(params, k, x, y, theta)
             if k > 50_000:
                 largest = max(largest, abs(x - 6.0))
         # averaging holds to first order in epsilon times the squared amplitude
