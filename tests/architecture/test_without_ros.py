@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -81,6 +82,13 @@ def python(tmp_path_factory):
     subprocess.run(build, cwd=WHEEL, check=True, capture_output=True)
     (wheel,) = folder.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(folder)
+    for copy in folder.rglob("*.py"):  # it takes the kernels that its source's have compiled
+        source = WHEEL / copy.relative_to(folder)
+        shutil.copystat(source, copy)
+        kept = source.parent / "__pycache__"
+        kept.mkdir(exist_ok=True)
+        if not (link := copy.parent / "__pycache__").exists():
+            link.symlink_to(kept)
     site = Path(importlib.util.find_spec("numpy").origin).parents[1]
     for name in LIBRARIES:
         if (site / name).exists():
