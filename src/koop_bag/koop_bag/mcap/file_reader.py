@@ -17,7 +17,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Footer, McapRecord, Metadata, Schema, Statistics
+from mcap.records import Channel, Footer, McapRecord, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from koop_bag.errors import BagError, compressed
@@ -29,12 +29,15 @@ RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Begin of a message's content: channel id, sequence, log time, publish time."""
 
+_CHUNK_HEAD = struct.Struct("<QQQII")
+"""First and last log time, unpacked size, checksum, length of the compression's name."""
+
 _FOOTER_SIZE = RECORD_HEAD.size + 20 + len(MCAP0_MAGIC)
 MAX_CHUNK = 256 << 20
 """The largest chunk that is unpacked [B]: recorders make chunks of some MB, and a file of a few kB
 could otherwise fill the memory."""
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # begin of a file that rosbag2 compressed as a whole
-_Parsed = TypeVar("_Parsed", Schema, Channel, Statistics, Metadata, Chunk, Footer)
+_Parsed = TypeVar("_Parsed", Schema, Channel, Statistics, Metadata, Footer)
 
 
 class Place(NamedTuple):
@@ -125,32 +128,35 @@ class McapFile:
 
     def chunk_records(self, place: Place) -> bytes:
         """The records inside of a chunk, decompressed and checked against the chunk's checksum."""
-        chunk = self.parse(Chunk, place)
-        size = chunk.uncompressed_size
+        content = self.content(place)
+        _, _, size, checksum, length = self.unpack(_CHUNK_HEAD, content, place.start)
+        end = _CHUNK_HEAD.size + length
+        compression = content[_CHUNK_HEAD.size : end].decode(errors="replace")
+        packed = content[end + 8 :][: int.from_bytes(content[end : end + 8], "little")]
         if size > MAX_CHUNK:
             raise self._damaged(
                 f"the chunk at byte {place.start} claims to unpack to {size} bytes, "
                 f"known are up to {MAX_CHUNK}"
             )
         try:
-            if chunk.compression == "zstd":
-                frame = zstandard.get_frame_parameters(chunk.data).content_size
+            if compression == "zstd":
+                frame = zstandard.get_frame_parameters(packed).content_size
                 if frame not in (size, zstandard.CONTENTSIZE_UNKNOWN):
                     raise ValueError("another size than the chunk states")
-                data = zstandard.decompress(chunk.data, size)
-            elif chunk.compression == "lz4":
-                data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
-            elif chunk.compression == "":
-                data = chunk.data
+                data = zstandard.decompress(packed, size)
+            elif compression == "lz4":
+                data = lz4.frame.LZ4FrameDecompressor().decompress(packed, size + 1)
+            elif compression == "":
+                data = packed
             else:
                 raise BagError(
-                    f"{self.path} is compressed with '{chunk.compression}'; known are zstd and lz4"
+                    f"{self.path} is compressed with '{compression}'; known are zstd and lz4"
                 )
             if len(data) != size:
                 raise ValueError("another size than the chunk states")
         except (zstandard.ZstdError, RuntimeError, ValueError, EOFError, MemoryError) as error:
             raise self._damaged(f"the chunk at byte {place.start} does not decompress") from error
-        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        if checksum and zlib.crc32(data) != checksum:
             raise self._damaged(f"the chunk at byte {place.start} does not match its checksum")
         return data
 
