@@ -228,7 +228,7 @@ def parse_qos(text: str) -> list[OfferedQos]:
 def dump(value: Any) -> str:
     """YAML in key order, without aliases: rosbag2's parser is not asked to resolve any."""
 
-    class Plain(yaml.SafeDumper):
+    class Plain(yaml.CSafeDumper):
         def ignore_aliases(self, data: Any) -> bool:
             return True
 

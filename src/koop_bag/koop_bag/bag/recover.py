@@ -73,18 +73,16 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
 
 def _description(files: Sequence[McapFile]) -> dict[Any, Any]:
     """Return the bag's description: the last undamaged record of it, or `metadata.yaml`."""
-    notes: dict[str, dict[str, str]] = {}
-    for file in files:
-        for place in file.places():
-            if place.opcode == Opcode.METADATA:
-                with suppress(BagError):
-                    note = file.parse(Metadata, place)
-                    parse_map(note.metadata.get("serialized_metadata", ""), "metadata record")
-                    notes[note.name] = note.metadata
-    try:
-        return read_description(notes, files[0].path.parent)
-    except BagError:
-        return {}
+    folder = files[0].path.parent
+    for file in reversed(files):
+        for place in [p for p in file.places() if p.opcode == Opcode.METADATA][::-1]:
+            with suppress(BagError):
+                note = file.parse(Metadata, place)
+                if note.name == "rosbag2":
+                    return read_description({note.name: note.metadata}, folder)
+    with suppress(BagError):
+        return read_description({}, folder)
+    return {}
 
 
 class _FileCopy:
