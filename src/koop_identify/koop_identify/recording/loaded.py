@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.columns import LOG_TIME, read_columns
+from koop_bag.bag.columns import LOG_TIME, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source, parse_source
 from koop_core.errors import InputError
@@ -122,15 +122,17 @@ def theta_at(bag: BagReader, measured: str, command: Source) -> NDArray[np.float
 
     The clock is the recorder's: state and theta may be stamped by others, or not at all.
     """
-    received = read_columns(bag, measured, [LOG_TIME])[LOG_TIME].astype(np.int64)
-    samples = list(batches(bag, command, by_stamp=False))
-    if not samples:
+    fields = {measured: [LOG_TIME], command.topic: [LOG_TIME, *command.names]}
+    columns = read_tables(bag, fields)  # in one pass
+    received = columns[measured][LOG_TIME].astype(np.int64)
+    when = columns[command.topic][LOG_TIME].astype(np.int64)
+    if not when.size:
         return np.full(received.size, np.nan)
-    if samples[0].x.shape[1] != 1:
-        raise InputError(f"command {command}: {samples[0].x.shape[1]} numbers; name one of them")
-    when = np.concatenate([batch.time for batch in samples])
+    numbers = np.column_stack([columns[command.topic][name] for name in command.names])
+    if numbers.shape[1] != 1:
+        raise InputError(f"command {command}: {numbers.shape[1]} numbers; name one of them")
     order = np.argsort(when, kind="stable")
-    when, value = when[order], np.concatenate([batch.x[:, 0] for batch in samples])[order]
+    when, value = when[order], numbers[order, 0].astype(np.float64)
     usual = float(np.median(np.diff(when))) if when.size > 1 else np.inf
     place = np.searchsorted(when, received, side="right") - 1
     held, age = value[np.maximum(place, 0)], received - when[np.maximum(place, 0)]

@@ -59,11 +59,10 @@ class Batch:
     stamped: bool = True
 
 
-def batches(bag: BagReader, source: Source, by_stamp: bool = True) -> Iterator[Batch]:
+def batches(bag: BagReader, source: Source) -> Iterator[Batch]:
     """Yield the samples of a bag in the order of recording.
 
-    Their time is the stamp where there is one, unless ``by_stamp`` is False, else that of
-    reception.
+    Their time is the stamp where there is one, else that of reception.
 
     Raises
     ------
@@ -72,7 +71,7 @@ def batches(bag: BagReader, source: Source, by_stamp: bool = True) -> Iterator[B
     """
     names = set(list_fields(bag, source.topic))
     fields = [*dict.fromkeys((*source.names, *(names & {STAMP, STEP}), LOG_TIME))]
-    first, stamped = True, by_stamp and STAMP in names
+    first, stamped = True, STAMP in names
     for columns in iter_columns(bag, source.topic, fields):
         if first:
             stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros
