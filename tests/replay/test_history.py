@@ -133,10 +133,12 @@ def test_the_figures_show_what_was_written_and_nothing_where_nothing_was(week, c
 
 
 def test_theta_is_the_guards_while_it_has_tripped_and_moves_in_between():
-    time, of_controller = np.arange(10.0), np.full((10, 3, 1), 5.0)
+    time, of_controller = np.arange(10.0), np.full((10, 3, 2), 5.0)
     rows = Rows(time, np.ones(10), np.zeros((10, 1)), *(of_controller for _ in TABLES))
-    said = np.array([0.0, 2.5, 6.5, 8.2]), np.array([5.0, 1.0, -1.0, -1.0])
-    theta = with_guard(rows, *said, np.array([False, True, True, False])).theta[:, :, 0]
+    said = np.array([0.0, 2.5, 6.5, 8.2]), np.outer([5.0, 1.0, -1.0, -1.0], [1.0, -2.0])
+    theta = with_guard(rows, *said, np.array([False, True, True, False])).theta
+    np.testing.assert_allclose(theta[7], [[-1.0, 2.0]] * 3)  # of each knob
+    theta = theta[:, :, 0]
     assert (theta[[0, 1, 2, 9]] == 5.0).all()
     np.testing.assert_allclose(theta[3], [0.25, 0.75, 0.5])  # falls by 0.5 a second
     np.testing.assert_allclose(theta[6, :2], [-1.0, -0.75])

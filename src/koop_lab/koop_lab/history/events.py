@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
+from koop_core.config.knobs import format_knobs
 from koop_core.stream.report import LEVELS
 from koop_guard.guard import Cause, Status
 from koop_lab.history.read import GuardMessage, HealthMessage, History
@@ -94,8 +96,9 @@ def troubles(history: History) -> list[Trouble]:
 
 
 def _trip(trip: GuardMessage, end: float, how: str) -> Event:
+    at = format_knobs([value for value in trip.tripped_theta if math.isfinite(value)], ".4g")
     text = (
-        f"The guard tripped at theta = {trip.tripped_theta:.4g}: {trip.reason or trip.cause}; "
+        f"The guard tripped at theta = {at}: {trip.reason or trip.cause}; "
         f"theta returned to theta_safe{how}{format_span(end - trip.time)}."
     )
     return Event(trip.time, end, "trip", text)

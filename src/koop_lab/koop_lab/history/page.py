@@ -116,8 +116,13 @@ def _panels(history: History, events: Sequence[Event]) -> Iterator[Panel]:
     yield Panel(TIME, "amplitude", tuple(series), "Amplitude", time=True)
 
     def curve(name: str, values: Floats) -> tuple[Series, ...]:
-        low, high, mean = values[:, :, 0].T
-        return tuple(_curve(name, time, width, mean, low, high))
+        n = values.shape[2]
+        return tuple(
+            series
+            for i in range(n)
+            for low, high, mean in [values[:, :, i].T]
+            for series in _curve(f"{name}[{i}]" if n > 1 else name, time, width, mean, low, high, i)
+        )
 
     title = "Theta, and trips, in which it is the guard's"
     yield Panel(TIME, "theta", curve("theta", thin.theta), title, marks=marks, time=True)

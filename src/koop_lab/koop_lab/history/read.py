@@ -16,6 +16,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.summary import FIELDS, SECOND, LoopSecond, Seconds
 from koop_bag.errors import BagError
 from koop_core.config.fields import parse_source
+from koop_core.config.knobs import MOST
 from koop_core.errors import InputError, KoopError
 from koop_guard.guard import Status
 from koop_identify.recording.recorded_parameters import recorded_values
@@ -31,21 +32,24 @@ from koop_lab.history.seconds import (
 
 BAG, SUMMARY = "bag", "summary"
 GUARD_STATE = "koop_msgs/msg/GuardState"
-GUARD = ("log_time", "status", "theta[0]", "cause", "reason", "tripped_theta[0]")
+GUARD = (
+    "log_time", "status", "cause", "reason",
+    *(f"{name}[{k}]" for name in ("theta", "tripped_theta") for k in range(MOST)),
+)  # fmt: skip
 HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
 LABEL = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
 LONG, SHORT, FINE = 7200.0, 10.0, 60.0  # [s]: within a span of LONG, amplitudes of SHORT, or FINE
 
 
 class GuardMessage(NamedTuple):
-    """A guard's message: time [s since the epoch], status as in GuardState, theta, why."""
+    """A guard's message: time [s since the epoch], status as in GuardState, why, theta."""
 
     time: float
     status: int
-    theta: float
     cause: str
     reason: str
-    tripped_theta: float
+    theta: tuple[float, ...]
+    tripped_theta: tuple[float, ...]
 
 
 class HealthMessage(NamedTuple):
@@ -111,8 +115,10 @@ class _Parts:
         if not rows.time.size:
             return
         if guard := self.guard_of(loop):
-            said = np.array([(m.time, m.theta, m.status == Status.TRIPPED) for m in guard]).T
-            rows = with_guard(rows, said[0], said[1], said[2] > 0.0)
+            time, theta = np.array([m.time for m in guard]), np.array([m.theta for m in guard])
+            rows = with_guard(
+                rows, time, theta, np.array([m.status == Status.TRIPPED for m in guard])
+            )
         self.rows.setdefault(loop, []).append(gather(rows, self.width))
         changes = self.models.setdefault(loop, [])
         for time, model in zip(rows.time.tolist(), models, strict=True):
@@ -248,7 +254,10 @@ def _read_events(bag: BagReader, parts: _Parts, start: int) -> None:
             if time < start * 1e-9:
                 continue
             if fields is GUARD:
-                parts.guard.setdefault((name, time), GuardMessage(time, *values[1:]))
+                _, status, cause, reason, *theta = values
+                at, tripped = tuple(theta[:MOST]), tuple(theta[MOST:])
+                message = GuardMessage(time, status, cause, reason, at, tripped)
+                parts.guard.setdefault((name, time), message)
             elif isinstance(values[1], str):
                 _, node, level, text = values
                 parts.health.setdefault((node, time), HealthMessage(time, node, int(level), text))
@@ -256,6 +265,8 @@ def _read_events(bag: BagReader, parts: _Parts, start: int) -> None:
 
 def _make_history(loop: str, parts: _Parts, runs: list[RunSpan]) -> History:
     rows = join(parts.rows[loop])
+    known = np.flatnonzero(np.isfinite(rows.theta).any(axis=(0, 1)))
+    rows = replace(rows, theta=rows.theta[:, :, : max([0, *known]) + 1])
     channels = parts.channels.get(loop, ())
     if len(channels) != rows.power.shape[1]:
         channels = tuple(f"x[{i}]" for i in range(rows.power.shape[1]))

@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.columns import Columns
 from koop_bag.bag.summary import LoopSecond
+from koop_core.config.knobs import MOST
 
 Floats = NDArray[np.float64]
 COLUMNS = (
     "header.stamp", "count", "x_min", "x_max", "x_mean", "x_std",
     "r_min", "r_max", "r_mean", "margin_min", "margin_max", "margin_mean",
-    "theta_min[0]", "theta_max[0]", "theta_mean[0]", "model_id",
+    *(f"theta_{kind}[{k}]" for kind in ("min", "max", "mean") for k in range(MOST)), "model_id",
 )  # fmt: skip
 """Fields of a LoopSummary that are read."""
 TABLES = ("x", "r", "margin", "theta")
@@ -34,7 +35,7 @@ class Rows:
     power : ndarray, shape (m, n)
         Variance of each channel within it.
     x, r, margin, theta : ndarray, shape (m, 3, n or 1)
-        Least, largest and mean value.
+        Least, largest and mean value; theta, as it is read, of as many knobs as there may be.
     """
 
     time: Floats
@@ -60,9 +61,9 @@ def from_columns(columns: Columns) -> Rows:
     """Return the rows of LoopSummary messages: one a second."""
 
     def table(name: str) -> Floats:
-        knob = "[0]" if name == "theta" else ""
-        parts = [columns[f"{name}_{kind}{knob}"] for kind in ("min", "max", "mean")]
-        stacked = np.stack(parts, axis=1).astype(np.float64)
+        knobs = [f"[{k}]" for k in range(MOST)] if name == "theta" else [""]
+        parts = [[columns[f"{name}_{kind}{k}"] for k in knobs] for kind in ("min", "max", "mean")]
+        stacked = np.moveaxis(np.array(parts, np.float64), 2, 0)
         return stacked.reshape(len(stacked), 3, -1)
 
     time = columns["header.stamp"] * 1e-9
@@ -74,15 +75,21 @@ def from_seconds(seconds: Sequence[LoopSecond]) -> Rows:
     """Return the rows of seconds that were made of a recording's messages."""
 
     def table(name: str) -> Floats:
-        nothing = np.full(1, np.nan)
+        most = MOST if name == "theta" else 1
         rows = [
-            (s.statistics[name][:3] if name in s.statistics else (nothing,) * 3) for s in seconds
+            (s.statistics[name][:3] if name in s.statistics else (np.full(most, np.nan),) * 3)
+            for s in seconds
         ]
-        return np.array(rows)
+        return np.array([[_filled(part, most) for part in row] for row in rows])
 
     time = np.array([s.begin * 1e-9 for s in seconds])
     power = np.array([s.statistics["x"].std ** 2 for s in seconds])
     return Rows(time, np.ones(time.size), power, *map(table, TABLES))
+
+
+def _filled(values: Floats, least: int) -> Floats:
+    """Return values, shape (n,), with NaN behind them up to a least number."""
+    return np.r_[values, np.full(max(least - values.size, 0), np.nan)]
 
 
 def with_guard(rows: Rows, time: Floats, theta: Floats, tripped: NDArray[np.bool_]) -> Rows:
@@ -90,14 +97,17 @@ def with_guard(rows: Rows, time: Floats, theta: Floats, tripped: NDArray[np.bool
 
     Parameters
     ----------
-    time, theta, tripped : ndarray, shape (k,)
-        What the guard said [s since the epoch], at least once; theta moves evenly in between.
+    time, tripped : ndarray, shape (k,)
+        What the guard said [s since the epoch], at least once.
+    theta : ndarray, shape (k, n)
+        The same of theta, which moves evenly in between.
     """
     last = np.searchsorted(time, rows.time, "right") - 1
     held = (last >= 0) & tripped[last]
-    ends = np.interp([rows.time[held], rows.time[held] + rows.weight[held]], time, theta)
     of_guard = rows.theta.copy()
-    of_guard[held, :, 0] = np.stack([ends.min(0), ends.max(0), ends.mean(0)], axis=1)
+    for k in range(theta.shape[1]):
+        ends = np.interp([rows.time[held], rows.time[held] + rows.weight[held]], time, theta[:, k])
+        of_guard[held, :, k] = np.stack([ends.min(0), ends.max(0), ends.mean(0)], axis=1)
     return replace(rows, theta=of_guard)
 
 
