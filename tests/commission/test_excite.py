@@ -70,18 +70,18 @@ def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, re
     told = []
     nodes = LiveNodes(tmp_path, Plan({GUARD: guard_section(SLOW, None)}, rig=True))
     with Client("koop_test") as client, nodes:
-        client.node.create_subscription(Float64, SLOW.command_source.topic, told.append, 1000)
+        client.node.create_subscription(Float64, SLOW.command_sources[0].topic, told.append, 1000)
         listener = Listener(
             client, SLOW.measured_source.topic, TYPES[0], SLOW.measured_source.fields
         )
-        session = Session(SLOW, client, listener, TYPES[1], nodes)
+        session = Session(SLOW, client, listener, TYPES[1:], nodes)
         with session.command_theta():
-            session.theta.go(-1.0)
+            session.theta.go([-1.0])
             session.wait_until(lambda: fast_rig.theta < -0.8)
             setattr(fast_rig, fault, True)
             with pytest.raises(LiveError, match=reason):
                 client.wait_for(bool, TIMEOUT, "the fault", session.check)
-        assert session.theta.value == SLOW.theta_safe
+        assert session.theta.value == (SLOW.theta_safe,)
     assert_walked(fast_rig.moved, SLOW)
     # the way home does not make up for the time of the silence
     theta = [message.data for message in told]
@@ -172,13 +172,12 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     # the third would know all that the two had recorded
     state = progress.load(RIG, tmp_path / "run")
     theta = [hold.theta for hold in state.holds]
-    assert theta[: len(before)] == [hold["theta"] for hold in before]
-    kept = RIG.scale.theta(np.array([hold.u for hold in read_holds(RIG, tmp_path / "run", state)]))
-    # where theta was held for long enough before an end, the hold counts beside its repetition
-    near = np.abs(kept[:, None] - theta) < 0.01
-    assert near.any(axis=0).all()
-    assert near.any(axis=1).all()
-    assert (np.diff(near.argmax(axis=1)) >= 0).all()
+    assert theta[: len(before)] == [tuple(hold["theta"]) for hold in before]
+    recorded = read_holds(RIG, tmp_path / "run", state)
+    assert [RIG.theta_at(hold.u) for hold in recorded] == [
+        pytest.approx(each, abs=0.01) for each in theta
+    ]
+    assert (np.diff([hold.elapsed for hold in recorded]) > 0.0).all()
 
 
 def test_a_time_that_is_too_short_is_refused_before_theta_moves(fast_rig, koop, tmp_path):

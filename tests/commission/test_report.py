@@ -36,7 +36,7 @@ def excitation(folder, rig):
     windows = Windows(round(8.0 / rig.frequency / rig.params.dt), rig.params.dt)
     design = Design(file, find_holds(loaded_of(theta, x), file.scale, windows.length), windows)
     holds = [
-        HoldSummary(file.scale.theta_at(hold.u), level.mean, level.error, 1.0, 10.0, "a reason")
+        HoldSummary(file.theta_at([hold.u]), level.mean, level.error, 1.0, 10.0, "a reason")
         for hold, level in zip(design.holds, design.levels(), strict=True)
     ]
     state = progress.ExcitationProgress(
@@ -57,8 +57,8 @@ def verification(folder, rig, file):
                               np.full(round(40.0 / dt), best)])  # fmt: skip
         bag = f"verify-1/start-{number}/bag"
         write_bag(folder / bag, rig, way, rig.record(way, number)[0], loop=True)
-        measured = Measured(60.0, 0.01, 3.0, 0.5, 0.01, 0.01, 1.0, 6.0, best, best, best)
-        runs.append(LoopRun(start, measured, bag, 100.0, (rest, way.size - 1)))
+        measured = Measured(60.0, 0.01, 3.0, 0.5, 0.01, 0.01, 1.0, 6.0, (best,), (best,), (best,))
+        runs.append(LoopRun((start,), measured, bag, 100.0, (rest, way.size - 1)))
     predicted = tune_result.read(folder / "tuned").controller.predicted
     only = Round(1, predicted, tuple(runs), True, True, "damped as predicted")
     verdict = "From 2 starts. It converged. The rig is damped."

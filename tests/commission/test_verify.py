@@ -109,7 +109,7 @@ def tuned(tmp_path):
     folder = tmp_path / "run"
     (folder / "tuned").mkdir(parents=True)
     rig_file.write(ONE, tmp_path / "rig.yaml")
-    holds = [HoldSummary(theta, 0.0, 0.1, 0.2, 1.0) for theta in VALUES]
+    holds = [HoldSummary((theta,), 0.0, 0.1, 0.2, 1.0) for theta in VALUES]
     state = progress.ExcitationProgress(WINDOWS, AMPLITUDE, holds, 9.0, ended=KNOWN)
     progress.save(state, ONE, folder)
     whole_file.write_json(folder / "commission.json", {"fit": True})
@@ -144,12 +144,12 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
     assert verified["rounds"][0]["prediction"] == to_json(PREDICTION)
     last = verified["rounds"][-1]  # a busy machine may need another round
     assert last["agrees"] is True
-    assert [run["start"] for run in last["runs"]] == [-1.0, 2.0]
+    assert [run["start"] for run in last["runs"]] == [[-1.0], [2.0]]
     for run in last["runs"]:
         measured = run["measured"]
-        assert abs(measured["theta"] - BEST) < 0.3
+        assert abs(measured["theta"][0] - BEST) < 0.3
         # truth: the amplitude is 0.3 + (theta - 0.8)^2
-        truth = 0.3 + (run["start"] - BEST) ** 2
+        truth = 0.3 + (run["start"][0] - BEST) ** 2
         assert measured["amplitude_before"] == pytest.approx(truth, rel=0.1)
         theta, topics = whole(tuned / run["bag"])
         assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", "/theta_asked"} <= topics
@@ -233,8 +233,8 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
 
 def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
     def run_of(excess):
-        measured = Measured(1.0, 0.1, 1.0, 0.31 * excess, 0.0, 0.0, excess, 3.0, BEST, BEST, BEST)
-        return LoopRun(0.0, measured, "", 1.0, (0, 9))
+        measured = Measured(1.0, 0.1, 1.0, 0.31 * excess, 0.0, 0.0, excess, 3.0, *[(BEST,)] * 3)
+        return LoopRun((0.0,), measured, "", 1.0, (0, 9))
 
     rounds = tuple(
         Round(i, PREDICTION, (run_of(1.1), run_of(worst)), i == 3, False, "worse")

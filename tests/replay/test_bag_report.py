@@ -68,7 +68,7 @@ def test_a_limit_of_the_controller_counts_only_while_the_guard_follows_it(tmp_pa
                 k, theta = next(answers)
                 told = struct.pack("<Id", 256, theta if k < tripped else 0.5)  # 0.5: theta_safe
                 writer.write(number["/rig/theta"], message.log_time, 0, told)
-    guarded = read_loop(tmp_path / "bag", "/", parse_source("/rig/theta:data"))
+    guarded = read_loop(tmp_path / "bag", "/", [parse_source("/rig/theta:data")])
     at_limit = np.flatnonzero(guarded.saturated)
     assert at_limit.size > 10
     assert guarded.theta[at_limit] == pytest.approx(-5.0)  # the last step to it rounds

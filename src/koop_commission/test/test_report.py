@@ -25,7 +25,7 @@ from koop_core.whole_file import write_json
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Amplitude, Windows
 from koop_tune.excitation.design import FLAT, KNOWN, TIME
-from koop_tune.excitation.progress import ExcitationProgress, HoldSummary
+from koop_tune.excitation.progress import ExcitationProgress, HoldSummary, SectionLine
 from koop_tune.excitation.static_map import Interval
 from koop_tune.result.tune_result import (
     AmplitudeMap,
@@ -73,7 +73,7 @@ CONTROLLER = ControllerResult(
 TUNED = TuneResult("tuned", "as good as any", FIT, [COST, BLIND], CONTROLLER)
 REFUSED = replace(TUNED, verdict="flat", controller=None,
                   why="the amplitude varies by 3 % with errors of 4 %")  # fmt: skip
-MEASURED = Measured(50.0, 0.02, 4.0, 1.1, 0.01, 0.01, 1.1, 3.6, 0.9, 0.8, 1.0)
+MEASURED = Measured(50.0, 0.02, 4.0, 1.1, 0.01, 0.01, 1.1, 3.6, (0.9,), (0.8,), (1.0,))
 
 
 def excitation(holds=(), ended=KNOWN, elapsed=60.0):
@@ -81,7 +81,7 @@ def excitation(holds=(), ended=KNOWN, elapsed=60.0):
 
 
 def holds():
-    return [HoldSummary(theta, math.log(a), 0.1, 2.0, 8.0, "over the range")
+    return [HoldSummary((theta,), math.log(a), 0.1, 2.0, 8.0, "over the range")
             for theta, a in zip(THETA, (4.0, 1.0, 3.0), strict=True)]  # fmt: skip
 
 
@@ -93,7 +93,9 @@ def contents(tuned=TuneResult(), rounds=(), verdict="", **changes):  # noqa: B00
 
 
 def round_of(number=1, agrees=True, excess=1.1):
-    runs = (LoopRun(-1.0, replace(MEASURED, excess=excess), "verify-1/start-1/bag", 90.0, (0, 9)),)
+    runs = (
+        LoopRun((-1.0,), replace(MEASURED, excess=excess), "verify-1/start-1/bag", 90.0, (0, 9)),
+    )
     return Round(number, PREDICTION, runs, agrees, bool(agrees), "damped as predicted")
 
 
@@ -236,7 +238,7 @@ def test_the_loop_is_predicted_until_it_is_measured():
 
 
 def test_a_round_is_compared_with_its_prediction_also_without_its_bag():
-    never = replace(round_of(), runs=(LoopRun(2.5, replace(MEASURED, time_to_converge=None)),))
+    never = replace(round_of(), runs=(LoopRun((2.5,), replace(MEASURED, time_to_converge=None)),))
     section = make_loop(contents(TUNED, [never]))
     (table,), (figure,) = section.tables, section.figures
     assert table.title == "round 1: damped as predicted"
@@ -291,3 +293,39 @@ def test_a_folder_is_read_and_written_as_a_page(tmp_path):
     page = write_report(tmp_path).read_text()
     assert page.count("<section>") == 7
     assert "no recording yet" in page
+
+
+def test_of_several_knobs_each_has_its_map_its_worth_and_its_path():
+    """The amplitude is sqrt(1 + |M (u - u*)|^2): the drawn valley is where it is 1.5."""
+    m, best = np.array([[6.0, 3.0], [0.0, 4.0]]), np.array([0.4, 0.6])
+    rig = replace(RIG, command="/b:p,q", theta_min=(-1.0, 0.0), theta_max=(3.0, 10.0))
+    u = [(v, 0.6) for v in np.linspace(0.0, 1.0, 9)] + [(0.4, v) for v in np.linspace(0.0, 1.0, 9)]
+    u += [(0.6, 0.8), (0.6, 0.3)]
+    a = [math.hypot(1.0, *(m @ (np.array(at) - best))) for at in u]
+    state = excitation(
+        HoldSummary(rig.theta_at(at), math.log(y), 0.01, 1.0, 9.0)
+        for at, y in zip(u, a, strict=True)
+    )
+    state.sections = [SectionLine(knob, rig.theta_at(best)) for knob in (0, 1)]
+    loop = replace(CONTROLLER, paths=[])
+    tuned = replace(TUNED, static_map=replace(FIT, knob=1), controller=loop)
+    run = LoopRun((-1.0, 10.0), replace(MEASURED, theta=(0.6, 6.0)), "verify-1/bag", 9.0, (0, 9))
+    rounds = [Round(1, PREDICTION, (run,), True, True, "")]
+    c = replace(contents(tuned, rounds, excitation=state), rig=rig)
+    section = make_static_map(c)
+    assert [panel.x_label for panel in section.figures[0].panels] == ["q"]  # p has no effect
+    assert section.tables[0].rows[0] == ("p", None, "no effect", 1.0)
+    assert section.tables[0].rows[1][:2] == ("q", 0.9)
+    (pair,) = section.figures[1].panels
+    *held, valley = pair.series
+    assert sum(len(series.x) for series in held) == len(u)
+    for edge in (valley.y, valley.upper):
+        ways = rig.u(np.column_stack([valley.x, edge])) - best
+        along = np.hypot(1.0, np.linalg.norm(ways @ m.T, axis=1))
+        assert along == pytest.approx(1.5, rel=0.03)
+    loop = make_loop(c)
+    panels = loop.figures[0].panels
+    assert [panel.y_label for panel in panels] == ["p", "q", "amplitude"]
+    assert [series.name for series in panels[1].series] == ["best q"]
+    assert "[-1, 10]" in loop.tables[0].rows[1]
+    assert write_sentences(c)[0].startswith("Over theta from [-1, 0] to [3, 10] the amplitude")

@@ -15,6 +15,7 @@ from rig_bags import (
 from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.linalg import expm
 
+from koop_core.errors import InputError
 from koop_identify.model.compare import costs
 from koop_identify.model.from_bags import BagTraining, load_bags, train_from_bags
 from koop_identify.model.windows import period_of
@@ -113,17 +114,19 @@ def test_theta_tells_the_oscillation_from_a_stronger_interference_that_comes_and
     swept = write_swept(tmp_path / "bag", 1.0)
     ratio = {}
     for command in (None, COMMAND):
-        reading = BagReading(JOINTS, command, DT)
+        reading = BagReading(JOINTS, (command,) if command else (), DT)
         model = train_from_bags([swept], BagTraining(reading, contrast=True))
         ratio[command] = model.projector[0, 1] / model.projector[0, 2]
     assert model.provenance["strong_and_weak_by"] == "theta"
     assert ratio[COMMAND] == pytest.approx(-2.0, abs=0.01)
+    with pytest.raises(InputError, match="over one knob: name one of the fields"):
+        train_from_bags([swept], BagTraining(BagReading(JOINTS, (JOINTS,), DT), contrast=True))
     assert abs(ratio[None] + 2.0) > 0.1
 
 
 def test_what_is_learned_anew_of_a_candidate_is_what_was_judged(tmp_path):
     swept = write_swept(tmp_path / "bag", 0.0)
-    loaded, reading = load_bags([swept], BagReading(JOINTS, COMMAND, DT))
+    loaded, reading = load_bags([swept], BagReading(JOINTS, (COMMAND,), DT))
     period = 2.5 * period_of(loaded, DT)
     judged = {cost.name: cost for cost in costs(loaded, BagTraining(reading), period)}["contrast"]
     model = train_from_bags([swept], judged.training)

@@ -12,7 +12,7 @@ from koop_bag.bag.reader import BagReader
 from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
 from koop_identify.model.from_bags import BagTraining, load_bags, train_from_bags
-from koop_identify.recording.loaded import LOOP_COMMAND, Loaded
+from koop_identify.recording.loaded import Loaded
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_tune.excitation import progress
@@ -23,7 +23,7 @@ from koop_tune.result.summary import summarise, summarise_refusal
 from koop_tune.rig.rig_file import STATE, THETA, RigFile
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.settings import TUNING, TuningSettings
-from koop_tune.search.tuning import tune
+from koop_tune.search.tune_knobs import tune_knobs
 
 BAR = "{desc:<40.40} |{bar}| {n:.0f} %"
 
@@ -74,24 +74,29 @@ def tune_folders(
             bar.update(100.0 * share)
 
         try:
-            tuning = tune(
-                loaded, rig, BagTraining(reading), excitation.amplitude, settings, report,
+            lines = {line.knob: rig.u(line.theta) for line in excitation.sections}
+            tuned = tune_knobs(
+                loaded, rig, lines, BagTraining(reading), excitation.amplitude, settings, report,
                 excitation.safe,
             )  # fmt: skip
         except NoOptimum as refusal:
             bar.close()
             result = summarise_refusal(refusal)
             whole_file.write_json(out / FIGURES, result)
-            print(f"{as_text.as_table(result)}\n\nno controller ({refusal.kind}): {refusal}")
+            table = as_text.as_table(result, rig.knob_names)
+            print(f"{table}\n\nno controller ({refusal.kind}): {refusal}")
             return False
-    model = None
-    if tuning.chosen.maps.cost.training is not None:
+    model, cost = None, tuned.tuning.chosen.maps.cost
+    if cost.training is not None:
         model = out / MODEL
-        train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
-    result = summarise(tuning, rig, model)
+        if rig.count == 1:
+            train_from_bags(bags, cost.training).save(model)
+        elif cost.model is not None:  # learned from the section
+            cost.model.save(model)
+    result = summarise(tuned, model)
     whole_file.write_json(out / FIGURES, result)
-    whole_file.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model, note))
-    print(f"{as_text.as_table(result)}\n\n{as_text.as_words(tuning)}")
+    whole_file.write_text(out / CONTROLLER, as_text.as_parameters(tuned, model, note))
+    print(f"{as_text.as_table(result, rig.knob_names)}\n\n{as_text.as_words(tuned)}")
     print(f"\ntuned in {time.monotonic() - began:.0f} s; written to {out}")
     return True
 
@@ -109,8 +114,9 @@ def reading_of(bag: Path, rig: RigFile) -> BagReading:
     with BagReader(bag) as reader:
         topics = {topic.name for topic in reader.topics if topic.count}
     measured = recorded_source(f"{STATE}:x" if STATE in topics else rig.measured)
-    command = LOOP_COMMAND if LOOP_COMMAND.topic in topics else recorded_source(rig.command)
-    return BagReading(measured, command, rig.dt)
+    told = [recorded_source(f"{THETA}:{','.join(f'theta[{i}]' for i in range(rig.count))}")]
+    commands = told if THETA in topics else rig.command_sources
+    return BagReading(measured, tuple(commands), rig.dt)
 
 
 def load_since(
@@ -140,10 +146,8 @@ def list_bags(folder: Path, rig: RigFile, state: ExcitationProgress) -> list[Pat
         if bag.is_dir():
             with BagReader(bag) as reader:
                 topics = {topic.name for topic in reader.topics if topic.count}
-            if topics & {STATE, rig.measured_source.topic} and topics & {
-                THETA,
-                rig.command_source.topic,
-            }:
+            commands = {source.topic for source in rig.command_sources}
+            if topics & {STATE, rig.measured_source.topic} and topics & {THETA, *commands}:
                 bags.append(bag)
     return bags
 

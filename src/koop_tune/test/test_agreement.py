@@ -91,8 +91,8 @@ def test_a_run_is_measured_as_its_truth_is(aim, good):
     assert good.excess == pytest.approx(1.0, abs=0.12)
     assert good.reduction == pytest.approx(4.0, rel=0.12)
     assert good.distance == pytest.approx(0.1 / 4.0, abs=0.002)
-    assert (good.swing, good.theta) == pytest.approx((0.2, BEST), abs=0.01)
-    assert (good.low, good.high) == pytest.approx((0.6, 0.8), abs=0.001)
+    assert (*good.swing, *good.theta) == pytest.approx((0.2, BEST), abs=0.01)
+    assert (*good.low, *good.high) == pytest.approx((0.6, 0.8), abs=0.001)
     assert find_disagreements(aim, replace(good, excess=1.0, reduction=4.0)) == []
 
 
@@ -103,13 +103,13 @@ def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
     assert actual.reduction == pytest.approx(4.0, rel=0.12)
     assert actual.time_to_converge is not None
     assert find_faults(aim, [actual]) == []
-    assert "rises by a factor of" in describe_run(aim, actual, 3.0)
+    assert "rises by a factor of" in describe_run(aim, actual, [3.0])
     weak = replace(actual, amplitude=2.0, excess=2.0, reduction=2.0)
     assert "times the best of the final map" in find_faults(aim, [weak])[0]
 
 
 def test_a_rig_is_damped_by_loops_that_are_near_the_best_and_stay_there(aim, good):
-    assert find_faults(aim, [good, replace(good, theta=0.69)]) == []
+    assert find_faults(aim, [good, replace(good, theta=(0.69,))]) == []
     near = replace(good, reduction=1.0)  # it began where it is good
     assert find_faults(aim, [good, near]) == []
 
@@ -121,13 +121,13 @@ def test_a_rig_is_damped_by_loops_that_are_near_the_best_and_stay_there(aim, goo
             {"amplitude": 1.7},
             "near theta = 0.7 the amplitude .*1.7.* times the best of the final map",
         ),
-        ({"low": 0.3}, "theta swings from 0.3 to 0.8, the valley reaches from 0.4 to 1"),
-        ({"high": 1.2}, "theta swings from 0.6 to 1.2"),
+        ({"low": (0.3,)}, "theta swings from 0.3 to 0.8, the valley reaches from 0.4 to 1"),
+        ({"high": (1.2,)}, "theta swings from 0.6 to 1.2"),
         ({"reduction": 0.5}, "worse than before by 2"),
     ],
 )
 def test_each_of_what_damped_means_is_asked_of_every_loop(aim, good, change, message):
-    good = replace(good, theta=BEST, error=0.001)
+    good = replace(good, theta=(BEST,), error=0.001)
     bad = replace(good, **change)
     for runs in ([good, bad], [bad, good]):
         (fault,) = find_faults(aim, runs)
@@ -144,13 +144,15 @@ def test_a_reduction_that_its_error_explains_is_none(aim, good):
 
 
 def test_the_loop_and_the_best_are_each_taken_at_their_worse_end(aim, good):
-    near = replace(good, theta=BEST, error=0.001, amplitude=1.3, doubt=0.05)  # 1.3 exp(0.15) = 1.51
+    near = replace(
+        good, theta=(BEST,), error=0.001, amplitude=1.3, doubt=0.05
+    )  # 1.3 exp(0.15) = 1.51
     assert find_faults(replace(aim, error=0.09), [near, near]) == []
     assert "may be 1.51 times" in find_faults(replace(aim, error=0.1), [near, near])[0]
 
 
 def test_nothing_is_damped_that_the_background_may_hide(aim, good):
-    far = replace(good, theta=BEST, error=0.001, amplitude=1.3)
+    far = replace(good, theta=(BEST,), error=0.001, amplitude=1.3)
     assert find_faults(aim, [far, far]) == []
     hidden = replace(aim, amplitude=make_amplitude(200, DT, floor=0.8))
     # 1.3^2 exp(2 errors) - 0.64 over 1 - 0.64: as much may be background in both
@@ -213,7 +215,7 @@ def test_only_what_is_worse_than_the_band_disagrees(aim, good, change, message):
     worse = replace(good, **change)
     actual = find_disagreements(aim, worse)
     assert actual == [] if message is None else (len(actual) == 1 and message in actual[0])
-    said = verdict(aim, [good, worse], [-1.0, 3.0], 1, "there")
+    said = verdict(aim, [good, worse], [[-1.0], [3.0]], 1, "there")
     ending = "damped as predicted" if message is None else "damped, but not as predicted"
     assert f"The rig is {ending}" in said
     assert "./koop up there runs it." in said
@@ -223,18 +225,18 @@ def test_only_what_is_worse_than_the_band_disagrees(aim, good, change, message):
 def test_a_figure_outside_the_band_that_errors_allow_is_named(aim, good):
     near = replace(good, error=0.1, excess=1.2, reduction=4.0)  # 1.05 exp(0.2) = 1.28
     assert find_disagreements(aim, near) == []
-    said = verdict(aim, [good, near], [-1.0, 3.0], 1, "there")
+    said = verdict(aim, [good, near], [[-1.0], [3.0]], 1, "there")
     assert "damped about as predicted, the band missed by errors at most (ended at" in said
     assert "1.2 times the best amplitude, at most 1.05 were predicted): ./koop up there" in said
     inside = replace(near, excess=1.0, time_to_converge=50.0)
-    assert "about" not in verdict(aim, [inside, inside], [-1.0, 3.0], 1, "there")
+    assert "about" not in verdict(aim, [inside, inside], [[-1.0], [3.0]], 1, "there")
 
 
 def test_a_rig_that_theta_changes_little_is_not_praised(aim, good):
     little = replace(good, error=0.001, excess=1.0, reduction=1.06)
-    said = verdict(aim, [little, replace(little, reduction=0.998)], [-1.0, 3.0], 1, "there")
+    said = verdict(aim, [little, replace(little, reduction=0.998)], [[-1.0], [3.0]], 1, "there")
     assert said.endswith("theta changes the amplitude little here: by a factor of 1.06 at most.")
-    assert "amplitude little" not in verdict(aim, [little, good], [-1.0, 3.0], 1, "there")
+    assert "amplitude little" not in verdict(aim, [little, good], [[-1.0], [3.0]], 1, "there")
 
 
 def factor(text):
@@ -248,10 +250,10 @@ def test_words_and_figures_of_a_run_agree(good, rig, reduction):
     aim = RESULT.make_aim(rig)
     level = aim.sense * math.log(reduction)  # of before over after
     after = replace(
-        good, theta=BEST, amplitude_before=math.exp(level), amplitude=1.0, reduction=reduction,
+        good, theta=(BEST,), amplitude_before=math.exp(level), amplitude=1.0, reduction=reduction,
         error=0.02,
     )  # fmt: skip
-    text = describe_run(aim, after, 3.0)
+    text = describe_run(aim, after, [3.0])
     assert text.startswith("From theta = 3 the loop comes to 0.7")
     falls, rises = ("falls by" in text, "rises by" in text)
     assert falls == (level > 0.04)
@@ -261,7 +263,7 @@ def test_words_and_figures_of_a_run_agree(good, rig, reduction):
         assert factor(text) > 1.0
     else:
         assert "does not change beyond its error" in text
-    never = describe_run(aim, replace(after, time_to_converge=None), 3.0)
+    never = describe_run(aim, replace(after, time_to_converge=None), [3.0])
     assert "never near the best" in never
 
 
@@ -276,10 +278,10 @@ def test_a_verdict_says_not_damped_exactly_where_there_are_faults(aim, good):
             took = None if rng.random() < 0.2 else float(rng.uniform(10.0, 100.0))
             runs.append(replace(
                 good, time_to_converge=took, amplitude=amplitude, amplitude_before=before,
-                excess=amplitude, reduction=before / amplitude, low=low, high=high,
+                excess=amplitude, reduction=before / amplitude, low=(low,), high=(high,),
                 error=float(rng.uniform(0.0, 0.2)),
             ))  # fmt: skip
-        faults, said = find_faults(aim, runs), verdict(aim, runs, [-1.0, 3.0], 2, "there")
+        faults, said = find_faults(aim, runs), verdict(aim, runs, [[-1.0], [3.0]], 2, "there")
         assert ("not damped" in said) == bool(faults)
         assert ("The rig is damped" in said) == (not faults)
         assert ("koop up there" in said) == (not faults)
@@ -300,7 +302,7 @@ def rounds_of(*rounds, excess=1.0):
     measured = run(aim)
     return [
         Round(number, aim.predicted,
-              tuple(LoopRun(-1.0, replace(measured, time_to_converge=time, excess=excess))
+              tuple(LoopRun((-1.0,), replace(measured, time_to_converge=time, excess=excess))
                     for time in times), agrees)
         for number, (agrees, *times) in enumerate(rounds, 1)
     ]  # fmt: skip

@@ -14,8 +14,9 @@ from koop_identify.recording.segmentation import BagReading
 from koop_tune.excitation.bowl import fit_bowl
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN
 from koop_tune.excitation.knobs_design import KnobsDesign
+from koop_tune.result.summary import summarise
 from koop_tune.search.settings import TuningSettings
-from koop_tune.tune_knobs import cut_section, tune_knobs
+from koop_tune.search.tune_knobs import cut_section, tune_knobs
 
 KNOBS = replace(
     RIG, command="/b:z[0],z[1]", theta_min=(-1.0, 0.1), theta_max=(3.0, 10.0), theta_rate=0.5,
@@ -103,7 +104,7 @@ def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled)
     for knob, one in enumerate(KNOBS.knobs()):
         best = one.scale.theta_at(design.base[knob])
         assert one.theta_min < limits[knob].low < best < limits[knob].high < one.theta_max
-        aim = tuning.make_aims()[knob]
+        aim = summarise(tuning).make_aim(KNOBS).knobs[knob]
         assert aim.valley[0] <= limits[knob].low <= aim.theta <= limits[knob].high <= aim.valley[1]
     assert tuning.useless == []
     steps = np.array(tuning.esc.step_size) / [limit.high - limit.low for limit in limits]

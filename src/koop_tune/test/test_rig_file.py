@@ -56,7 +56,6 @@ def test_every_value_has_its_meaning_above_it():
         ("dt: 0.01", "dt: 0.01\ndt: 0.02", "'dt' stands in line 1"),
         ("data[0],data[1]", "data[0,data[1]", r":\d+: measured: 'data\[0' is not a field"),
         ("/stiffness:data", "/stiffness", r":\d+: command: .* is not a source"),
-        ("/tower/stiffness:data", "/k:a,b", r":\d+: command has 2 knobs: a rig with one can be"),
         ("/tower/stiffness:data", "/tower:data[2]", "command .* is the topic of the measured"),
         (
             "channel_min: [-3.0, -0.001]",

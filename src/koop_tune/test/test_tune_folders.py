@@ -57,9 +57,9 @@ def write(folder, topics, states=True):
 def test_the_loops_own_topics_are_read_where_the_bag_has_them(tmp_path):
     other = replace(RIG, measured="/rig:data[0],data[1]")
     loop = reading_of(write(tmp_path / "loop", ["/theta", "/knob"]), other)
-    assert (str(loop.measured), str(loop.command)) == ("/state:x", "/theta:theta[0]")
+    assert (str(loop.measured), *map(str, loop.commands)) == ("/state:x", "/theta:theta[0]")
     bare = reading_of(write(tmp_path / "bare", ["/knob"], states=False), other)
-    assert (str(bare.measured), str(bare.command)) == ("/rig:data[0],data[1]", "/knob:data")
+    assert (str(bare.measured), *map(str, bare.commands)) == ("/rig:data[0],data[1]", "/knob:data")
     assert bare.dt == other.dt
 
 
@@ -108,3 +108,16 @@ def test_a_controller_is_found_by_its_file_or_a_folder_above_it(tmp_path):
     assert find_controller(file.parent)[0] == file
     with pytest.raises(ConfigError, match="run 'koop tune' first"):
         find_controller(tmp_path)
+
+
+def test_an_excitation_of_several_knobs_is_read_as_it_was_written(tmp_path):
+    rig = replace(RIG, command="/a:x,/b:x", theta_min=(0.0, -2.0), theta_safe=(0.5, 0.25))
+    held = progress.HoldSummary((0.5, -1.0), 0.1, 0.01, 1.0, 9.0, "a reason")
+    lines = [progress.SectionLine(1, (0.5, 0.25))]
+    state = progress.ExcitationProgress(holds=[held], parts=["part-1"], sections=lines)
+    progress.save(state, rig, tmp_path)
+    assert progress.read(tmp_path) == (rig, state)
+    with pytest.raises(
+        ConfigError, match=r"begun with theta_min = \[0.0, -2.0\], the rig file says"
+    ):
+        progress.load(replace(rig, theta_min=(0.0, -1.0)), tmp_path)

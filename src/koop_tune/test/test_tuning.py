@@ -23,6 +23,7 @@ from koop_tune.search.prediction import predict
 from koop_tune.search.run import Outcome
 from koop_tune.search.search import Trial, list_anchors, search
 from koop_tune.search.settings import SearchSettings, TuningSettings
+from koop_tune.search.tune_knobs import KnobsTuning
 from koop_tune.search.tuning import SearchedCost, Tuning, choose, limit_slowdown, search_cost
 
 RIG = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
@@ -30,6 +31,10 @@ RIG = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
 
 def valley(u):
     return 3.0 * np.abs(u - 0.6)
+
+
+def of(tuning, rig=RIG):
+    return KnobsTuning.of_one(rig, tuning)
 
 
 def searched(name, score):
@@ -113,7 +118,7 @@ def tuning():
 
 def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tuning, tmp_path):
     path = tmp_path / "controller.yaml"
-    path.write_text(as_text.as_parameters(tuning, RIG, None))
+    path.write_text(as_text.as_parameters(of(tuning), None))
     loop = parameters.make(parameters.read(path))
     c = tuning.best.constants
     assert loop.lifter.cost == "raw"
@@ -125,7 +130,7 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     guard = parameters.build(parameters.read(path, GUARD), GUARD)["koop_guard"][GuardConfig]
     shared = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate", "theta_safe")
     assert all(getattr(guard, name) == getattr(RIG, name) for name in shared)
-    listed = as_text.list_parameters(tuning, RIG, None)
+    listed = as_text.list_parameters(of(tuning), None)
     assert all(reason for node in listed.values() for _, reason in node.values())
     lines = [line for line in path.read_text().splitlines() if line.lstrip().startswith("# Here:")]
     assert len(lines) == sum(map(len, listed.values()))
@@ -139,7 +144,7 @@ def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, t
     findings = replace(tuning.findings, scale=far.scale, limits=ThetaLimits(0.5, 50.0))
     wide = replace(tuning, findings=findings, chosen=replace(tuning.chosen, task=task))
     path = tmp_path / "controller.yaml"
-    path.write_text(as_text.as_parameters(wide, far, tmp_path / "model.npz"))
+    path.write_text(as_text.as_parameters(of(wide, far), tmp_path / "model.npz"))
     loop = parameters.make(parameters.read(path))
     assert (loop.esc.theta_scale, loop.esc.objective) == ("log", "maximise")
     assert loop.esc.rate_limit == pytest.approx(0.5 / 50.0)  # of log theta, at its largest
@@ -150,17 +155,17 @@ def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, t
 
 
 def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
-    table = as_text.as_table(summarise(tuning, RIG, None))
+    table = as_text.as_table(summarise(of(tuning)))
     assert "evidence" in table
     assert "lifted: too few windows" in table
     assert f"{math.exp(tuning.chosen.score):.3g}" in table
-    words = as_text.as_words(tuning)
+    words = as_text.as_words(of(tuning))
     assert "cost raw: it is good" in words
     assert tuning.prediction.converges.as_text() in words
 
 
 def test_the_result_holds_the_map_and_the_paths_and_is_read_as_it_was_written(tuning, tmp_path):
-    result = summarise(tuning, RIG, None)
+    result = summarise(of(tuning))
     u, maps, fit = tuning.findings.dwells.u, tuning.findings.static_map, result.static_map
     assert fit.holds.level == pytest.approx(np.exp(valley(u)))
     assert (fit.theta_best, fit.best) == (maps.best(), pytest.approx(maps.least))

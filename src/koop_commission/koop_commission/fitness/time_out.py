@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from koop_commission.fitness.fitness import NOTE, OK, Finding
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
+from koop_core.config.knobs import format_knobs
 from koop_tune.rig.rig_file import RigFile
 
 NAME = "time-out"
@@ -61,7 +62,7 @@ def is_back(shares: Sequence[float]) -> bool:
 
 
 def judge_time_out(
-    rig: RigFile, far: float, shares: Sequence[float], ends: Sequence[float]
+    rig: RigFile, far: Sequence[float], shares: Sequence[float], ends: Sequence[float]
 ) -> Finding:
     """Judge the blocks that followed the last command.
 
@@ -69,7 +70,7 @@ def judge_time_out(
     ----------
     rig : RigFile
         The rig.
-    far : float
+    far : sequence of float
         Theta that was commanded last.
     shares, ends : sequence of float
         Where each block is between that theta (0) and theta_safe (1), and its end after the last
@@ -83,11 +84,12 @@ def judge_time_out(
         return Finding(OK, NAME, text)
     last = f"{ends[-1]:.3g} s after the last command the rig oscillates" if ends else "nothing seen"
     stays = "if this machine dies, theta stays"
+    at, safe = format_knobs(far, ".4g"), rig.spell("theta_safe", ".4g")
     if shares and all(abs(share) < 0.5 for share in shares[-2:]):
-        text = f"{last} as at theta = {far:.4g}: no time-out, or a longer one; {stays}"
+        text = f"{last} as at theta = {at}: no time-out, or a longer one; {stays}"
     else:
         text = (
-            f"{last} neither as at theta = {far:.4g} nor as at theta_safe = {rig.theta_safe:.4g}: "
+            f"{last} neither as at theta = {at} nor as at theta_safe = {safe}: "
             f"is its time-out to another theta? Without one, {stays}"
         )
     return Finding(NOTE, NAME, text)

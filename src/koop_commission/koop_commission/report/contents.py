@@ -91,15 +91,24 @@ class Contents:
         return amplitude.name(self.rig.names) if amplitude else ""
 
     @property
-    def static_map(self) -> Points | None:
-        """Holds of the tuning, else of the excitation; None without one."""
+    def holds_by_knob(self) -> dict[int, Points]:
+        """Holds of the tuning over each knob; before it, of the only knob, the excitation's."""
         if self.tuned.static_map:
-            return self.tuned.static_map.holds
+            return {knob: each.holds for knob, each in self.tuned.maps.items()}
         holds = sorted(self.excitation.holds)
-        if not holds or self.excitation.amplitude is None:
-            return None
+        if not holds or self.excitation.amplitude is None or self.rig.count > 1:
+            return {}
         theta, levels, errors, *_ = map(list, zip(*holds, strict=True))
-        return Points(theta, np.exp(levels).tolist(), errors)
+        return {0: Points([each[0] for each in theta], np.exp(levels).tolist(), errors)}
+
+    @property
+    def amplitudes(self) -> list[tuple[float, tuple[float, ...]]]:
+        """The amplitude of each hold that is known, and where theta was."""
+        if self.rig.count == 1:
+            points = self.holds_by_knob.get(0, Points([], [], []))
+            return [(y, (theta,)) for theta, y in zip(points.theta, points.level, strict=True)]
+        known = self.excitation.amplitude is not None
+        return [(float(np.exp(h.level)), h.theta) for h in self.excitation.holds if known]
 
 
 def read_contents(folder: Path) -> Contents:

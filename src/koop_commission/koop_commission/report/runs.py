@@ -23,14 +23,16 @@ class RunCurves(NamedTuple):
 
     Attributes
     ----------
-    time, theta : ndarray, shape (K,)
-        Theta over time [s] since the loop was closed: extremes of neighbouring samples.
+    time : ndarray, shape (K,)
+        Time since the loop was closed [s].
+    theta : list of ndarray, shape (K,)
+        Theta of each knob then: extremes of neighbouring samples.
     middle, amplitude : ndarray, shape (L,)
         Middle of each window [s], and the amplitude in it.
     """
 
     time: NDArray[np.float64]
-    theta: NDArray[np.float64]
+    theta: list[NDArray[np.float64]]
     middle: NDArray[np.float64]
     amplitude: NDArray[np.float64]
 
@@ -56,7 +58,7 @@ def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves
     """
     _, signals = loop_signals(bag, "/", amplitude.windows.dt)
     closed = (signals.step >= steps[0]) & (signals.step <= steps[1])
-    controlled = closed & np.isfinite(signals.theta)
+    controlled = closed & signals.theta_known
     if not controlled.any():
         raise InputError(f"{bag}: holds no theta")
     t = signals.t - signals.t[controlled][0]
@@ -70,7 +72,11 @@ def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves
                 amplitudes.append(float(np.exp(amplitude.logs(x)[0])))
     every = max(-(-len(middles) // POINTS), 1)
     return RunCurves(
-        *thin(t[controlled], signals.theta[controlled], POINTS),
+        thin(t[controlled], t[controlled], POINTS)[0],
+        [
+            thin(t[controlled], path, POINTS)[1]
+            for path in np.atleast_2d(signals.theta[controlled].T)
+        ],
         np.array(middles[::every]),
         np.array(amplitudes[::every]),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
 
@@ -12,8 +12,11 @@ from koop_commission.fitness.recording import check_recording
 from koop_commission.report.colors import BEST, FAINT, INTERFERENCE, MEASURED, OTHER
 from koop_commission.report.contents import Contents
 from koop_commission.report.loop import make_loop
+from koop_commission.report.pairs import draw_pairs
 from koop_commission.report.recordings import make_recordings
+from koop_commission.report.series import step_apart
 from koop_commission.report.spectra import make_spectra
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import spec_of
 from koop_core.errors import InputError
 from koop_tune.result.tune_result import Points
@@ -29,7 +32,8 @@ def make_sections(c: Contents) -> Iterator[Section]:
     """Yield all sections in order; each says what is missing."""
     yield make_rig(c)
     yield make_static_map(c)
-    yield make_spectra(c)
+    if c.rig.count == 1:
+        yield make_spectra(c)
     if c.tuned.verdict:
         yield make_costs(c)
     if c.tuned.controller or c.verification.rounds:
@@ -60,18 +64,50 @@ def make_rig(c: Contents) -> Section:
 
 
 def make_static_map(c: Contents) -> Section:
-    """Return the static map of the amplitude, with the best theta."""
-    title, static = "Amplitude against theta", c.static_map
-    if static is None:
-        return Section("map", title, "theta was at no dwell point yet.")
-    series: list[Series] = []
-    marks: tuple[Mark, ...] = ()
+    """Return the static map of the amplitude over each knob, with the best theta."""
+    title, several = "Amplitude against theta", c.rig.count > 1
     intro = (
         "The amplitude to which the rig settled at each hold of theta, with two standard errors "
         "where they are known; 1 is the strongest motion seen. Curve and band: the map that fits, "
         "within two standard errors; where the band is wide nobody has looked."
     )
+    if several:
+        intro += " Each knob alone is moved through the best of all, where the others stay."
     if fit := c.tuned.static_map:
+        if c.tuned.controller:
+            intro += (
+                " Shaded: the valley, where the amplitude is at most 1.5 times the best, which is "
+                f"{math.exp(fit.best):.3g}; below {fit.amplitude.floor:.2g} nothing can be "
+                "resolved."
+            )
+            if len(modes := fit.modes) > 1:
+                intro += f" Shares in the amplitude's square over theta: {'; '.join(modes[:6])}."
+        intro += f" Note: {fit.moved}." * bool(fit.moved)
+    if c.tuned.is_refused:
+        intro += f" Refused ({c.tuned.verdict}): {c.tuned.why}."
+    panels = tuple(_draw_map(c, knob, static) for knob, static in c.holds_by_knob.items())
+    tables, figures = [], []
+    if panels:
+        caption = f"Static map of the amplitude of {c.feature}"
+        figures.append(Figure("map", caption, panels, columns=min(len(panels), 2)))
+        tables.append(_list_map(c))
+    if several and c.tuned.controller:
+        tables.insert(0, _list_worth(c))
+    if len(pairs := c.excitation.sections) > 1:
+        figures.append(draw_pairs(c, [line.knob for line in pairs]))
+    if c.excitation.holds:
+        tables.append(_list_holds(c))
+    if not figures and not tables:
+        return Section("map", title, "theta was at no dwell point yet.")
+    return Section("map-section", title, intro, tables, figures)
+
+
+def _draw_map(c: Contents, knob: int, static: Points) -> Panel:
+    """Return the map over a knob: holds, and the curve that fits."""
+    series: list[Series] = []
+    marks: tuple[Mark, ...] = ()
+    scale = c.rig.scales[knob]
+    if fit := c.tuned.maps.get(knob):
         curve, best = fit.curve, fit.theta_best
         low, high = (
             [y * math.exp(side * ERRORS * e) for y, e in zip(curve.level, curve.error, strict=True)]
@@ -81,42 +117,54 @@ def make_static_map(c: Contents) -> Section:
         series.append(Series("map", curve.theta, curve.level, color=MEASURED))
         if c.tuned.controller:
             marks = (Mark(best, f"best {best:.4g}", *fit.valley, BEST),)
-            intro += (
-                " Shaded: the valley, where the amplitude is at most 1.5 times the best, which is "
-                f"{math.exp(fit.best):.3g}; below {fit.amplitude.floor:.2g} nothing can be "
-                "resolved."
-            )
-            if len(modes := fit.modes) > 1:
-                intro += f" Shares in the amplitude's square over theta: {'; '.join(modes[:6])}."
         elif c.tuned.verdict == "monotone":
-            limit = min((c.rig.theta_min, c.rig.theta_max), key=lambda limit: abs(limit - best))
+            limit = min((scale.low, scale.high), key=lambda limit: abs(limit - best))
             marks = (Mark(limit, f"limit {limit:.3g}: best here", color=INTERFERENCE),)
-        intro += f" Note: {fit.moved}." * bool(fit.moved)
-        if c.tuned.is_refused:
-            intro += f" Refused ({c.tuned.verdict}): {c.tuned.why}."
     series.append(_bars(static, MEASURED))
-    panel = Panel(
-        "theta", "amplitude", tuple(series), log_x=c.rig.scale.logarithmic, log_y=True, marks=marks
-    )
+    name = c.rig.knob_names[knob]
+    return Panel(name, "amplitude", tuple(series), log_x=scale.logarithmic, log_y=True, marks=marks)
+
+
+def _list_map(c: Contents) -> Table:
+    """Return the holds over each knob."""
     columns = (
+        *([Column("knob", "knob", words=True)] if c.rig.count > 1 else []),
         Column("theta", "theta"),
         Column("amplitude", "amplitude"),
         Column("error", "standard error [%]", ".2g"),
     )
-    errors = [100.0 * error if error < LARGEST else None for error in static.error]
-    rows: Rows = list(zip(static.theta, static.level, errors, strict=True))
-    tables = [Table("map", "The same in numbers", columns, rows, detail=True)]
-    if c.excitation.holds:
-        tables.append(_list_holds(c))
-    figure = Figure("map", f"Static map of the amplitude of {c.feature}", (panel,))
-    return Section("map-section", title, intro, tables, [figure])
+    rows: Rows = []
+    for knob, static in c.holds_by_knob.items():
+        name = (c.rig.knob_names[knob],) if c.rig.count > 1 else ()
+        errors = [100.0 * error if error < LARGEST else None for error in static.error]
+        rows += [(*name, *row) for row in zip(static.theta, static.level, errors, strict=True)]
+    return Table("map", "The same in numbers", columns, rows, detail=True)
+
+
+def _list_worth(c: Contents) -> Table:
+    """Return how much each knob matters."""
+    columns = (
+        Column("knob", "knob", words=True),
+        Column("best", "best at"),
+        *_words("valley"),
+        Column("worth", "amplitude over its range, over the best", ".3g"),
+    )
+    rows: Rows = []
+    for knob, name in enumerate(c.rig.knob_names):
+        if (fit := c.tuned.maps.get(knob)) is None:
+            rows.append((name, None, "no effect", 1.0))
+            continue
+        levels = [level**c.rig.sense for level in fit.curve.level]
+        valley = f"{fit.valley.low:.4g} to {fit.valley.high:.4g}"
+        rows.append((name, fit.theta_best, valley, max(levels) / min(levels)))
+    return Table("worth", "How much each knob matters, the others at their best", columns, rows)
 
 
 def _list_holds(c: Contents) -> Table:
     """Return where theta was held, in order, and why there."""
     columns = (
         Column("hold", "hold"),
-        Column("theta", "theta"),
+        Column("theta", "theta", words=c.rig.count > 1),
         Column("amplitude", "amplitude", ".3g"),
         Column("error", "standard error [%]", ".2g"),
         Column("settled", "settled after [s]", ".3g"),
@@ -124,7 +172,7 @@ def _list_holds(c: Contents) -> Table:
         Column("why", "why there", words=True),
     )
     rows: Rows = [
-        (k, h.theta, math.exp(h.level), 100.0 * h.error, h.settled, h.seconds, h.why)
+        (k, format_knobs(h.theta, ".4g"), math.exp(h.level), 100.0 * h.error, *h[3:])
         for k, h in enumerate(c.excitation.holds, 1)
     ]
     return Table("holds", "Holds of the excitation, in order", columns, rows, detail=True)
@@ -138,6 +186,8 @@ def make_costs(c: Contents) -> Section:
         return Section("costs", "Costs", intro)
     panels: list[Panel] = []
     rows: Rows = []
+    knob = c.tuned.static_map.knob if c.tuned.static_map else 0
+    name, scale = c.rig.knob_names[knob], c.rig.scales[knob]
     for cost in c.tuned.costs:
         best = cost.theta_best
         rows.append((cost.name, best, cost.evidence, cost.score, cost.problem))
@@ -146,14 +196,12 @@ def make_costs(c: Contents) -> Section:
         is_chosen = cost.name == chosen
         color = MEASURED if is_chosen else OTHER
         series = (
-            Series("holds", _step_apart(cost.r.theta), cost.r.level, "points", color=color),
+            Series("holds", step_apart(cost.r.theta), cost.r.level, "points", color=color),
             _bars(cost.r, color),
         )
         marks = () if best is None else (Mark(best, f"least {best:.3g}", color=BEST),)
         title = cost.name + " (chosen)" * is_chosen
-        panels.append(
-            Panel("theta", "r", series, title, c.rig.scale.logarithmic, log_y=True, marks=marks)
-        )
+        panels.append(Panel(name, "r", series, title, scale.logarithmic, log_y=True, marks=marks))
     why = f"{c.tuned.why[0].upper()}{c.tuned.why[1:]}."
     chosen_words = chosen and f" Chosen: {chosen}."
     intro = f"The cost r to which the rig settled at each value of theta.{chosen_words} {why}"
@@ -194,18 +242,10 @@ def _words(*names: str) -> tuple[Column, ...]:
     return tuple(Column(name, name, words=True) for name in names)
 
 
-def _step_apart(theta: Sequence[float]) -> list[float]:
-    """Return rising values with those that are equal a little apart: each is drawn."""
-    step, result = 1e-4 * (theta[-1] - theta[0]), list(theta)
-    for k in range(1, len(result)):
-        result[k] = max(result[k], result[k - 1] + step)
-    return result
-
-
 def _bars(points: Points, color: int) -> Series:
     """Return error bars where the errors are known."""
     factors = [math.exp(ERRORS * e) if e < LARGEST else 1.0 for e in points.error]
     low = [y / factor for y, factor in zip(points.level, factors, strict=True)]
     high = [y * factor for y, factor in zip(points.level, factors, strict=True)]
-    theta = _step_apart(points.theta)
+    theta = step_apart(points.theta)
     return Series("hold, two standard errors", theta, low, "bars", high, color)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from koop_commission.report.contents import Contents
 from koop_tune.excitation.design import FLAT, KNOWN
+from koop_tune.search.agreement import spell
 from koop_tune.search.rounds import kept_index
 
 DONE, MISSING, NO = "done", "missing", "no"
@@ -25,9 +26,7 @@ class Stage(NamedTuple):
 def list_stages(c: Contents) -> Iterator[Stage]:
     """Yield all stages in order."""
     folder, rig, state = c.folder, c.rig_file, c.excitation
-    yield Stage(
-        "Rig", DONE, f"{', '.join(c.rig.names)} measured; theta on {c.rig.command_source.topic}"
-    )
+    yield Stage("Rig", DONE, f"{', '.join(c.rig.names)} measured; theta on {c.rig.command_topics}")
     text = f"{len(state.holds)} holds in {state.elapsed:.0f} s"
     if not c.is_excited:
         yield Stage("Excite", MISSING, f"{text}; to resume: ./koop excite {rig} --out {folder}")
@@ -63,20 +62,22 @@ def write_sentences(c: Contents) -> list[str]:
 
 
 def _describe_rig(c: Contents) -> str:
-    rig, static = c.rig, c.static_map
-    span = f"theta from {rig.theta_min:g} to {rig.theta_max:g}"
-    if static is None:
+    rig, held = c.rig, c.amplitudes
+    span = f"theta from {rig.spell('theta_min')} to {rig.spell('theta_max')}"
+    if not held:
         return f"The oscillation over {span} is not known yet."
-    sense = 1.0 if rig.objective == "minimise" else -1.0
-    order = sorted(zip(static.level, static.theta, strict=True), key=lambda p: sense * p[0])
-    (best, at), (worst, far) = order[0], order[-1]
+    order = sorted(held, key=lambda pair: rig.sense * pair[0])
+    (best, theta), (worst, far) = order[0], order[-1]
+    at = spell(theta)
     valley = ""
     if c.tuned.controller and (fit := c.tuned.static_map):  # the least hold is that by chance
-        best, at = math.exp(fit.best), fit.theta_best
-        valley = f"; its valley is from {fit.valley.low:.4g} to {fit.valley.high:.4g}"
+        aim = c.tuned.make_aim(rig)
+        best, at = math.exp(fit.best), aim.theta
+        low, high = (spell([knob.valley[end] for knob in aim.knobs]) for end in (0, 1))
+        valley = f"; its valley is from {low} to {high}"
     return (
-        f"Over {span} the amplitude of {c.feature} is between {best:.3g} at {at:.4g} and "
-        f"{worst:.3g} at {far:.4g}{valley}."
+        f"Over {span} the amplitude of {c.feature} is between {best:.3g} at {at} and "
+        f"{worst:.3g} at {spell(far)}{valley}."
     )
 
 

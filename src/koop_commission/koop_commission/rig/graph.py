@@ -67,8 +67,9 @@ def identify_publishers(client: Client, topic: str) -> set[str]:
 
 def describe_other_commanders(client: Client, rig: RigFile) -> str:
     """Return in words that others command the rig; empty: none does."""
-    if names := sorted(set(find_nodes(client, rig.command_source.topic)[0])):
-        return f"{rig.command_source.topic} is commanded by {', '.join(names)}: stop that"
+    for source in rig.command_sources:
+        if names := sorted(set(find_nodes(client, source.topic)[0])):
+            return f"{source.topic} is commanded by {', '.join(names)}: stop that"
     return ""
 
 
@@ -83,8 +84,8 @@ def describe_second_rig(client: Client, rig: RigFile) -> str:
     )
 
 
-def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
-    """Return the message types that a rig publishes and that it takes as its command.
+def find_types(client: Client, rig: RigFile) -> tuple[str, list[str]]:
+    """Return the message type that a rig publishes, and those of the topics of its command.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
 
     sides = [
         ("measured", "publisher", rig.measured_source, publishers_of),
-        ("command", "subscriber", rig.command_source, subscribers_of),
+        *(("command", "subscriber", s, subscribers_of) for s in rig.command_sources),
     ]
     if rig.bounded is not None:
         sides.append(("constraint", "publisher", rig.bounded.source, publishers_of))
@@ -122,10 +123,10 @@ def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
         except KoopError as error:
             raise type(error)(f"{key}: {error}") from None
         types.append(kind)
-    measured, command, *_ = types
+    measured, *commands = types
     if rig.measured_source.topic == STATE and measured != STATE_TYPE:
         raise LiveError(
             f"measured: {STATE} is {measured}, for the lifter it is {STATE_TYPE}: let the rig "
             "publish on another topic"
         )
-    return measured, command
+    return measured, commands[: len(rig.commands)]

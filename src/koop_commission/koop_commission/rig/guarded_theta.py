@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +48,15 @@ class GuardedTheta:
         Observer in the ROS domain.
     rig : RigFile
         The rig.
-    command_type : str
-        Message type of the command, ``pkg/msg/Type``.
-    theta : float
-        Value that theta has now.
+    command_types : sequence of str
+        Message types of the command's topics, ``pkg/msg/Type``.
+    theta : tuple of float
+        Value that theta of each knob has now.
     """
 
-    def __init__(self, client: Client, rig: RigFile, command_type: str, theta: float) -> None:
+    def __init__(
+        self, client: Client, rig: RigFile, command_types: Sequence[str], theta: tuple[float, ...]
+    ) -> None:
         from koop_msgs.msg import GuardState
         from rclpy.qos import qos_profile_sensor_data
         from std_msgs.msg import Float64MultiArray
@@ -61,31 +65,29 @@ class GuardedTheta:
         from koop_node.node.qos import KEPT
 
         self._client, self._rig = client, rig
-        self._kind, self._command = message_type(command_type), b""
-        self._target, self._before = Float64MultiArray(data=[theta]), theta
+        self._kinds = list(map(message_type, command_types))
+        self._commands = [b""] * len(self._kinds)
+        self._target, self._before = Float64MultiArray(data=theta), theta
         self._state = GuardState()
         self._said = -math.inf
         node = client.node
         self._publisher = node.create_publisher(Float64MultiArray, f"/{GUARD}/target", KEPT)
         node.create_subscription(GuardState, f"/{GUARD}/state", self._on_state, KEPT)
-        node.create_subscription(
-            self._kind,
-            rig.command_source.topic,
-            self._on_command,
-            qos_profile_sensor_data,
-            raw=True,
-        )
+        for i, source in enumerate(rig.command_sources):
+            hear = partial(self._commands.__setitem__, i)
+            kind, qos = self._kinds[i], qos_profile_sensor_data
+            node.create_subscription(kind, source.topic, hear, qos, raw=True)
 
     @property
-    def value(self) -> float:
-        """The last command to the rig."""
+    def value(self) -> tuple[float, ...]:
+        """The last command to the rig, of each knob."""
         from rclpy.serialization import deserialize_message
 
-        if not self._command:
+        if not all(self._commands):
             return self._before
-        return read_field(
-            self._rig.command_source.fields[0], deserialize_message(self._command, self._kind)
-        )
+        messages = map(deserialize_message, self._commands, self._kinds)
+        told = zip(self._rig.commands, messages, strict=True)
+        return tuple(read_field(path, message) for of, message in told for path in of.fields)
 
     @property
     def arrived(self) -> bool:
@@ -93,9 +95,10 @@ class GuardedTheta:
         state = self._state
         return state.status == state.FOLLOWING and state.theta == self._target.data
 
-    def go(self, theta: float) -> None:
-        """Move theta to a value, within limits and rate."""
-        self._say([min(max(theta, self._rig.theta_min), self._rig.theta_max)])
+    def go(self, theta: Sequence[float]) -> None:
+        """Move theta of each knob to a value, within limits and rate."""
+        limits = zip(theta, self._rig.each("theta_min"), self._rig.each("theta_max"), strict=True)
+        self._say([min(max(value, low), high) for value, low, high in limits])
 
     def follow(self) -> None:
         """Let the controller, which begins at this theta, move it until :meth:`go`."""
@@ -124,21 +127,22 @@ class GuardedTheta:
         koop_core.errors.LiveError
             If it may not be there.
         """
-        rig = self._rig
-        if not self._command:
+        rig, safe = self._rig, self._rig.each("theta_safe")
+        if not any(self._commands):
             return  # it was never commanded
+        spans = [scale.high - scale.low for scale in rig.scales]
         self._client.wait_for(
-            lambda: abs(self.value - rig.theta_safe) <= ROUNDED * rig.span,
+            lambda: all(
+                abs(value - at) <= ROUNDED * span
+                for value, at, span in zip(self.value, safe, spans, strict=True)
+            ),
             rig.guard.longest_return + PATIENCE,
-            f"theta may not be at theta_safe = {rig.theta_safe:g}",
+            f"theta may not be at theta_safe = {rig.spell('theta_safe')}",
         )
 
-    def _say(self, target: list[float]) -> None:
+    def _say(self, target: Sequence[float]) -> None:
         self._said, self._target.data = time.monotonic(), target
         self._publisher.publish(self._target)
 
     def _on_state(self, state: Any) -> None:
         self._state = state
-
-    def _on_command(self, data: bytes) -> None:
-        self._command = data

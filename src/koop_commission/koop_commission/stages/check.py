@@ -8,7 +8,7 @@ import math
 import random
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -47,6 +47,7 @@ from koop_commission.rig.graph import (
 from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, spell_time
+from koop_core.config.knobs import format_knobs
 from koop_core.errors import LiveError
 from koop_guard.note import note_of
 from koop_node.client.client import Client
@@ -125,20 +126,20 @@ def check_rig(
     ask : callable
         Asks whether to do what may harm, and returns the answer.
     """
-    state, command = rig.measured_source.topic, rig.command_source.topic
+    state, command = rig.measured_source.topic, rig.command_topics
     with Client("_koop_check") as client:
         try:
-            state_type, command_type = find_types(client, rig)
+            state_type, command_types = find_types(client, rig)
         except LiveError as error:
             yield Finding(BAD, "graph", f"{error} (ROS domain {current_domain()})")
             return
-        yield Finding(OK, "graph", f"{state} has a publisher, {command} has a subscriber")
+        yield Finding(OK, "graph", f"{state} has a publisher, {command} a subscriber")
         listener = Listener(client, state, state_type, rig.measured_source.fields)
         samples = _listen(listener, rig, settings)
         if text := describe_second_rig(client, rig):
             yield Finding(BAD, "arrival", text)
             return
-        findings = [Finding(OK, "command", f"{command} has no other publisher")]
+        findings = [Finding(OK, "command", f"no other publisher on {command}")]
         if text := describe_other_commanders(client, rig):
             findings = [Finding(BAD, "command", text)]
         findings += judge_samples(rig, samples, rig.pace, settings)
@@ -152,21 +153,22 @@ def check_rig(
             with TemporaryDirectory() as folder:
                 sections = {GUARD: guard_section(rig, note)}
                 with LiveNodes(Path(folder), Plan(sections, rig=True)) as nodes:
-                    session = Session(rig, client, listener, command_type, nodes, note)
+                    session = Session(rig, client, listener, command_types, nodes, note)
                     with session.command_theta():
                         draw = rng or random.Random()
-                        finding, settle, blocks = _move_theta(rig, session, period, draw, settings)
-                        yield finding
-                        if finding.level != BAD and ask(describe_test(rig, settings)):
+                        moved, settle, blocks = _move_theta(rig, session, period, draw, settings)
+                        yield from moved
+                        fit = all(finding.level != BAD for finding in moved)
+                        if fit and ask(describe_test(rig, settings)):
                             yield _test_time_out(rig, session, settle, blocks, settings)
-                        elif finding.level != BAD:
+                        elif fit:
                             yield Finding(
                                 NOTE,
                                 TIME_OUT,
                                 "of the rig was not tested; koop check, in a terminal, offers to",
                             )
         except LiveError as error:
-            yield Finding(BAD, "theta", f"{error}: theta returns to {rig.theta_safe:g}")
+            yield Finding(BAD, "theta", f"{error}: theta returns to {rig.spell('theta_safe')}")
 
 
 def _listen(listener: Listener, rig: RigFile, settings: CheckSettings) -> Samples:
@@ -184,54 +186,82 @@ def _listen(listener: Listener, rig: RigFile, settings: CheckSettings) -> Sample
 
 def _move_theta(
     rig: RigFile, session: Session, period: float, rng: random.Random, settings: CheckSettings
-) -> tuple[Finding, int, Blocks]:
-    """Test with blocks of growing length until the rig reacts or the time is over.
+) -> tuple[list[Finding], int, Blocks]:
+    """Test each knob, with blocks of growing length until the rig reacts or the time is over.
 
-    Returned are also the states left out before a block, and how the last ones were looked at.
+    Returned are also the states left out before a block, and how the last ones were looked at. Of
+    several knobs one is enough: another that does nothing is noted.
     """
-    theta = session.theta.value
-    other = rig.scale.step_away(theta, settings.step)
-    finding = None
+    theta, findings = session.theta.value, list[Finding]()
     for factor, stages in settings.series:
         observe = max(64, math.ceil(factor * settings.observe * period / rig.dt))
         settle = math.ceil(
             max(factor * settings.settle * period, settings.late * rig.pace) / rig.dt
         )
-        seconds = abs(other - theta) / rig.theta_rate + (settle + observe) * rig.dt
-        counts = [count for count, _ in stages]
-        if finding is not None and sum(counts) * seconds > rig.time:
+        whole = sum(count for count, _ in stages) * (settle + observe) * rig.dt
+        if findings and rig.count * whole > rig.time:
             break  # the rig file does not allow it
-        most = spell_time(sum(counts) * seconds, rig.pace)
-        again = "nothing reacts yet, so in longer blocks: " if finding is not None else ""
-        print(
-            f"      {again}moving theta between {theta:.4g} and {other:.4g}, at most {most}; "
-            f"Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
-            flush=True,
-        )
+        again = "nothing reacts yet, so in longer blocks: " * bool(findings)
         x = bridge_gaps(session.listener.samples().x)
         blocks = Blocks.choose(x, Windows(observe, rig.dt), settings)
-        features: list[NDArray[np.float64]] = []
-        moved: list[bool] = []
-        for (count, alpha), done in zip(stages, itertools.count(1), strict=False):
-            for up in draw_order(count, rng):
-                features.append(_observe(rig, session, other if up else theta, settle, blocks))
-                moved.append(up)
-            reaction = compare_blocks(np.array(features), moved, counts[:done])
-            if reaction.p <= alpha:
-                break
-        between = f"theta from {theta:.4g} to {other:.4g}, {len(moved)} blocks of {seconds:.3g} s"
-        finding = judge_reaction(reaction, blocks.names(rig.names), between, settings)
-        if finding.level != BAD:
+        findings = [
+            _move_knob(rig, session, theta, knob, again, settle, blocks, stages, rng, settings)
+            for knob in range(rig.count)
+        ]
+        if any(finding.level != BAD for finding in findings):
+            findings = [f._replace(level=NOTE) if f.level == BAD else f for f in findings]
             break
-    assert finding is not None
-    return finding, settle, blocks
+    return findings, settle, blocks
+
+
+def _move_knob(
+    rig: RigFile, session: Session, theta: tuple[float, ...], knob: int, again: str, settle: int,
+    blocks: Blocks, stages: Sequence[tuple[int, float]], rng: random.Random,
+    settings: CheckSettings,
+) -> Finding:  # fmt: skip
+    """Test whether the rig reacts to one knob."""
+    other = step_away(rig, theta, settings.step, knob)
+    way = abs(other[knob] - theta[knob]) / rig.each("theta_rate")[knob]
+    seconds = way + (settle + blocks.windows.length) * rig.dt
+    counts, name = [count for count, _ in stages], rig.knob_names[knob]
+    most = spell_time(sum(counts) * seconds, rig.pace)
+    print(
+        f"      {again}moving {name} between {theta[knob]:.4g} and {other[knob]:.4g}, at most "
+        f"{most}; Ctrl-C ends it, theta returns to {rig.spell('theta_safe')}",
+        flush=True,
+    )
+    features: list[NDArray[np.float64]] = []
+    moved: list[bool] = []
+    for (count, alpha), done in zip(stages, itertools.count(1), strict=False):
+        for up in draw_order(count, rng):
+            features.append(_observe(rig, session, other if up else theta, settle, blocks))
+            moved.append(up)
+        reaction = compare_blocks(np.array(features), moved, counts[:done])
+        if reaction.p <= alpha:
+            break
+    between = (
+        f"{name} from {theta[knob]:.4g} to {other[knob]:.4g}, {len(moved)} blocks of "
+        f"{seconds:.3g} s"
+    )
+    finding = judge_reaction(reaction, blocks.names(rig.names), between, settings)
+    return finding._replace(name=name)
+
+
+def step_away(
+    rig: RigFile, theta: Sequence[float], share: float, knob: int | None = None
+) -> tuple[float, ...]:
+    """Return theta with a knob, or all of them, a share of its range away."""
+    return tuple(
+        scale.step_away(value, share) if knob in (None, k) else value
+        for k, (scale, value) in enumerate(zip(rig.scales, theta, strict=True))
+    )
 
 
 def describe_test(rig: RigFile, settings: CheckSettings) -> str:
     """Return the question whether to test for a time-out of the rig."""
-    far = rig.scale.step_away(rig.theta_safe, settings.step)
+    far = format_knobs(step_away(rig, rig.each("theta_safe"), settings.step), ".4g")
     return (
-        f"      Has the rig a time-out of its own? To see, theta stays at {far:.4g} for up to "
+        f"      Has the rig a time-out of its own? To see, theta stays at {far} for up to "
         f"{settings.silence:g} s without a guard, and nothing is commanded. Test that?"
     )
 
@@ -243,11 +273,12 @@ def _test_time_out(
 
     What the guard then does is no longer looked at: it may trip for what it did not hear.
     """
-    far = rig.scale.step_away(rig.theta_safe, settings.step)
-    known: dict[float, list[NDArray[np.float64]]] = {rig.theta_safe: [], far: []}
+    safe = rig.each("theta_safe")
+    far = step_away(rig, safe, settings.step)
+    known: dict[tuple[float, ...], list[NDArray[np.float64]]] = {safe: [], far: []}
     for theta in tuple(known) * settings.known:
         known[theta].append(_observe(rig, session, theta, settle, blocks))
-    telling = tell_apart(np.array(known[far]), np.array(known[rig.theta_safe]), settings)
+    telling = tell_apart(np.array(known[far]), np.array(known[safe]), settings)
     if doubt := describe_doubt(telling, settings):
         return Finding(NOTE, TIME_OUT, doubt)
     length, listener = blocks.windows.length, session.listener
@@ -266,7 +297,7 @@ def _test_time_out(
 
 
 def _observe(
-    rig: RigFile, session: Session, theta: float, settle: int, blocks: Blocks
+    rig: RigFile, session: Session, theta: Sequence[float], settle: int, blocks: Blocks
 ) -> NDArray[np.float64]:
     """Move theta, let the rig settle, and return the features of the block that follows."""
     session.go(theta)

@@ -18,7 +18,7 @@ from koop_core.config.fields import parse_field
 from koop_tune.excitation.holds import mean_level
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
-from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
+from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure, spell
 from koop_tune.search.rounds import LoopRun
 
 LINES, QUIET = 8, 5.0  # lines about a closed loop at most, and time between two at least [s]
@@ -52,7 +52,7 @@ class ClosedLoop:
     settling: float
     note: Path | None
 
-    def record(self, start: float) -> LoopRun:
+    def record(self, start: tuple[float, ...]) -> LoopRun:
         """Drive theta to a start, close the loop, and return its figures."""
         count = 1
         while (run := self.folder / f"verify-{self.number}" / f"start-{count}").exists():
@@ -62,7 +62,7 @@ class ClosedLoop:
         with open_session(self.rig, nodes, self.note) as session:
             return self._drive(session, start, str((run / "bag").relative_to(self.folder)))
 
-    def _plan_nodes(self, run: Path, start: float) -> dict[str, dict[str, Any]]:
+    def _plan_nodes(self, run: Path, start: tuple[float, ...]) -> dict[str, dict[str, Any]]:
         """Return the parameters of the nodes of ``koop up``; the controller waits."""
         file = self.folder / TUNED / CONTROLLER
         arguments = {"params": str(file), "plant": "false", "record": "true", "output": str(run)}
@@ -71,25 +71,26 @@ class ClosedLoop:
         parameters["koopman_lifter"]["listeners"] = "recorder"  # it works before the controller
         parameters[ESC] |= {
             "autostart": False,
-            "theta_initial": start,
+            "theta_initial": list(start) if len(start) > 1 else start[0],
             "command": "",
             "listeners": f"{GUARD} recorder",
         }
         return parameters
 
-    def _drive(self, session: Session, start: float, bag: str) -> LoopRun:
+    def _drive(self, session: Session, start: tuple[float, ...], bag: str) -> LoopRun:
         """Close the loop at a start, and hold theta where it ended."""
         aim, dt, states = self.aim, self.rig.dt, session.listener
-        fields = (parse_field("theta[0]"), parse_field("epsilon"))
-        answers = Listener(session.client, THETA, THETA_TYPE, fields, reliable=True)
+        fields = [*(f"theta[{k}]" for k in range(len(start))), "epsilon"]
+        paths = tuple(map(parse_field, fields))
+        answers = Listener(session.client, THETA, THETA_TYPE, paths, reliable=True)
         margins = None if self.rig.bounded is None else session.listen_to_margins()
         rest = aim.settings.before * aim.amplitude.windows.length
         session.still = aim.amplitude.windows.length
         session.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, session.check)
         quiet = self.settling + rest * dt
         print(
-            f"theta = {start:.4g}, the loop open: {spell_time(quiet, self.rig.pace)} until the rig "
-            "has settled there and its amplitude is known",
+            f"theta = {spell(start)}, the loop open: {spell_time(quiet, self.rig.pace)} until the "
+            "rig has settled there and its amplitude is known",
             flush=True,
         )
         session.go(start)
@@ -106,7 +107,7 @@ class ClosedLoop:
             print(f"{how}: {spell_time(seconds, self.rig.pace)} in all", flush=True)
             self._wait(session, closed, seconds)
             loop = states.samples(closed)
-            theta = answers.samples(first).x[:, 0]
+            theta = answers.samples(first).x[:, :-1]
             measured = measure(aim, before, loop.x, theta)
             if margins is not None:
                 measured = replace(measured, broken=find_broken(margins.samples(), loop))
@@ -118,7 +119,7 @@ class ClosedLoop:
             how = f"not yet, {lacks[0]}: the loop stays closed"
         # theta is held where the loop ended: a later tuning learns from dwell points
         print(
-            f"theta is held at {measured.theta:.4g}, where the loop ended: "
+            f"theta is held at {spell(measured.theta)}, where the loop ended: "
             f"{spell_time(rest * dt, self.rig.pace)}",
             flush=True,
         )
@@ -141,9 +142,9 @@ class ClosedLoop:
             if x.shape[0] >= amplitude.windows.length:
                 squares = amplitude.squares(amplitude.windows.powers(x))
                 level = math.exp(mean_level(squares, amplitude.floor)[0])
-                theta = session.theta.value
+                theta = spell(session.theta.value)
                 at = (due - closed) * dt
-                print(f"{at:6.0f} s  theta {theta:<9.4g} amplitude {level:.3g}", flush=True)
+                print(f"{at:6.0f} s  theta {theta:<9} amplitude {level:.3g}", flush=True)
 
 
 def find_broken(margins: Samples, loop: Samples) -> float:
@@ -159,4 +160,4 @@ def _wait_for(session: Session, count: int) -> None:
 def _has_direction(answers: Listener) -> bool:
     """Return whether the newest theta is the controller's: only a relay has a direction."""
     count = answers.count
-    return bool(count and answers.samples(count - 1).x[0, 1] != 0.0)
+    return bool(count and answers.samples(count - 1).x[0, -1] != 0.0)

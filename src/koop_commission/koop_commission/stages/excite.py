@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +22,20 @@ from koop_commission.stages.session import (
     resumable,
     spell_time,
 )
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
 from koop_guard.note import note_of
 from koop_tune.excitation import progress as progress_file
-from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME, Design, Move
-from koop_tune.excitation.holds import Hold
-from koop_tune.excitation.progress import ExcitationProgress, HoldSummary
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME
+from koop_tune.excitation.knobs_design import KnobsDesign, KnobsMove, RecordedHold
+from koop_tune.excitation.progress import ExcitationProgress, HoldSummary, SectionLine
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.dwells import DWELLS, find_holds
+from koop_tune.rig_model.dwells import DWELLS
 from koop_tune.tune_folders import list_bags, load_since
 
-ANY = replace(DWELLS, values=1)  # what an interrupted excitation holds
+ENOUGH = 0.8  # share of a hold that was recorded, of which lost messages cut the rest
 
 
 def register(commands: Any) -> None:
@@ -89,7 +89,7 @@ def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
         )
     return (
         f"{reason}; {len(progress.holds)} holds in {progress.elapsed:.0f} s of the rig's time; "
-        f"theta is back at {rig.theta_safe:g}"
+        f"theta is back at {rig.spell('theta_safe')}"
     )
 
 
@@ -114,6 +114,9 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
         If the folder holds the recordings of another rig, or a finished excitation.
     """
     state = progress_file.load(rig, folder) or ExcitationProgress()
+    if rig.bounded is not None and rig.count > 1:
+        raise ConfigError(f"constraint = {rig.constraint!r}: how far theta may go is found of one "
+                          "knob only, the command has several")  # fmt: skip
     if state.ended in (KNOWN, FLAT):
         raise ConfigError(f"{folder}: the static map is known already: choose another --out")
     if state.elapsed >= rig.time:
@@ -121,7 +124,7 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
             f"{folder}: the {rig.time:g} s of the rig file are over: set a longer 'time' in it"
         )
     refuse_small_disk(rig, folder, rig.time - state.elapsed)
-    holds, state.ended = read_holds(state.narrow(rig), folder, state), ""
+    recorded, state.ended = read_holds(state.narrow(rig), folder, state), ""
     number = len(state.parts) + 1
     while (folder / (part := f"part-{number}")).exists():  # of one killed before it was noted
         number += 1
@@ -138,7 +141,7 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
             begun = session.listener.count
             state.safe = find_safe_range(rig, rig.bounded, session)
             state.elapsed += (session.listener.count - begun) * rig.dt
-        Excitation(state.narrow(rig), folder, state, holds, session).run()
+        Excitation(state.narrow(rig), folder, state, recorded, session).run()
     return state
 
 
@@ -153,21 +156,21 @@ class Excitation:
         Folder of all parts.
     state : ExcitationProgress
         Done so far; it grows.
-    holds : list of Hold
+    recorded : list of RecordedHold
         The same, as recorded.
     session : Session
         With the rig.
     """
 
     def __init__(
-        self, rig: RigFile, folder: Path, state: ExcitationProgress, holds: list[Hold],
+        self, rig: RigFile, folder: Path, state: ExcitationProgress, recorded: list[RecordedHold],
         session: Session,
     ) -> None:  # fmt: skip
         self._rig, self._folder, self._state, self._session = rig, folder, state, session
         self._listener = session.listener
         self._first, self._before = self._listener.count, state.elapsed
         self._began = time.monotonic()
-        self._design = Design(rig, holds, state.windows)
+        self._design = KnobsDesign(rig, recorded=recorded)
         self._said = math.inf  # log amplitude of the last line, in the unit of then
         session.show = self._show
 
@@ -183,17 +186,18 @@ class Excitation:
         progress_file.save(self._state, self._rig, self._folder)
         if self._state.holds:
             print(f"{len(self._state.holds)} holds were done before", flush=True)
-        if self._design.amplitude is None:
-            self._listen()
+        self._listen()
+        move = self._design.next()
         self._forecast()
-        while (move := self._design.next()) is not None and self._hold(move):
+        while move is not None and self._hold(move):
             self._report_hold(move)
             self._save()
+            move = self._design.next()
         self._state.ended = self._design.ended or TIME
         self._save()
 
     def _save(self) -> None:
-        state, design, scale = self._state, self._design, self._rig.scale
+        state, design, rig = self._state, self._design, self._rig
         state.since = max(state.since, design.since)
         state.elapsed, state.windows, state.amplitude = (
             self._elapsed,
@@ -203,17 +207,18 @@ class Excitation:
         seconds, dt = design.windows.seconds, self._rig.dt
         state.holds = [
             HoldSummary(
-                scale.theta_at(hold.u), level.mean, min(level.error, 10.0), level.skip * seconds,
+                rig.theta_at(u), level.mean, min(level.error, 10.0), level.skip * seconds,
                 hold.x.shape[0] * dt, hold.why,
             )
-            for hold, level in zip(design.holds, design.levels(), strict=True)
+            for (hold, u), level in zip(design.held, design.levels(), strict=True)
         ]  # fmt: skip
+        state.sections = [SectionLine(k, rig.theta_at(u)) for k, u in design.lines.items()]
         progress_file.save(state, self._rig, self._folder)
 
     def _listen(self) -> None:
         """Choose the first windows from the oscillation before theta moves."""
-        dt, theta = self._rig.dt, self._session.theta.value
-        print(f"listening before theta moves, at theta = {theta:.4g}", flush=True)
+        dt, theta = self._rig.dt, format_knobs(self._session.theta.value, ".4g")
+        print(f"listening before theta moves, at theta = {theta}", flush=True)
         while self._design.listens(x := self._listener.samples(self._first).x):
             self._session.wait_for_states(math.ceil(0.2 * DESIGN.shortest / dt), "listening")
         try:
@@ -239,24 +244,26 @@ class Excitation:
                 f"file {left:.0f} s are left: set time = "
                 f"{round_up(2.0 * (self._elapsed + needed)):g} or more"
             )
-        back = max(rig.guard.return_time([theta]) for theta in (rig.theta_min, rig.theta_max))
-        first = f"between {rig.theta_min:g} and {rig.theta_max:g}, there and back, then "
+        back = max(rig.guard.return_time(rig.each(name)) for name in ("theta_min", "theta_max"))
+        several = ", one knob after another" * (rig.count > 1)
+        first = f"between {rig.spell('theta_min')} and {rig.spell('theta_max')}{several}, "
+        first += "there and back, then "
         print(
             f"theta goes {first * (self._design.left > 0)}to where it tells most about the best "
             f"value: at most {spell_time(left, rig.pace)}, often less; "
-            f"Ctrl-C ends it, theta returns to {rig.theta_safe:g} within {back:.2g} s here\n"
+            f"Ctrl-C ends it, theta returns to {rig.spell('theta_safe')} within {back:.2g} s here\n"
             "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
             flush=True,
         )
 
-    def _hold(self, move: Move) -> bool:
+    def _hold(self, move: KnobsMove) -> bool:
         """Hold theta as long as it needs; return False if the time is over."""
-        design, listener, scale = self._design, self._listener, self._rig.scale
+        design, listener = self._design, self._listener
         for u in (move.via, move.u):
             if u is not None:
-                self._session.go(scale.theta_at(u))
+                self._session.go(self._rig.theta_at(u))
         begin = end = listener.count
-        design.arrive(move, self._elapsed, begin)
+        design.arrive(move, self._elapsed)
 
         def is_over() -> bool:
             return listener.count >= end or self._elapsed > self._rig.time
@@ -273,15 +280,16 @@ class Excitation:
                 return True
             begin = end
 
-    def _report_hold(self, move: Move) -> None:
+    def _report_hold(self, move: KnobsMove) -> None:
         """Say what a hold showed, and what reacts once that is known or changes."""
         design, rig = self._design, self._rig
-        at = f"{self._elapsed:6.0f} s  theta {rig.scale.theta_at(move.u):<9.4g} held "
-        if not any(hold.u == move.u for hold in design.holds):
+        theta, held = format_knobs(rig.theta_at(move.u), ".4g"), design.held
+        at = f"{self._elapsed:6.0f} s  theta {theta:<9} held "
+        if not any((u == move.u).all() for _, u in held):
             seconds = design.windows.seconds
             print(f"{at}too short for windows of {seconds:.3g} s: again later", flush=True)
             return
-        hold, amplitude = design.holds[-1], design.amplitude
+        hold, amplitude = held[-1][0], design.amplitude
         said = f"{at}{hold.size * rig.dt:4.0f} s  amplitude "
         if amplitude is None:
             print(f"{said}unknown: nothing reacts yet  ({move.why})", flush=True)
@@ -298,26 +306,27 @@ class Excitation:
         print(f"{said}{math.exp(level.mean):<7.3g} +- {doubt:<6}  ({move.why})", flush=True)
 
     def _show(self) -> None:
-        holds = f"{len(self._design.holds)} holds, {self._design.left} or more to go"
+        holds = f"{len(self._design.held)} holds, {self._design.left} or more to go"
         self._session.draw("exciting", self._elapsed, self._rig.time, holds)
 
 
-def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Hold]:
-    """Return the holds that an interrupted excitation recorded."""
-    if not state.holds or state.windows is None:
+def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[RecordedHold]:
+    """Return the holds that an interrupted excitation recorded, in order."""
+    if not state.holds:
         return []
-    bags = list_bags(folder, rig, state)
-    loaded, _ = load_since(bags, rig, state)
-    done = rig.scale.u(np.array([hold.theta for hold in state.holds]))
-    holds = find_holds(loaded, rig.scale, state.windows.length, ANY)
-    kept = []
-    for hold in holds:
-        away = np.abs(done - hold.u)
-        nearest = int(np.argmin(away))
-        if away[nearest] < ANY.same:
-            hold.why = state.holds[nearest].why
-            kept.append(hold)
-    return kept
+    loaded, _ = load_since(list_bags(folder, rig, state), rig, state)
+    assert loaded.theta is not None
+    u, end, recorded = rig.u(loaded.theta.reshape(-1, rig.count)), 0, []
+    for hold in state.holds:
+        on = np.abs(u - rig.u(hold.theta)).max(axis=1) < DWELLS.same
+        on[:end] = False
+        edges = np.flatnonzero(np.diff(np.r_[False, on, False].astype(np.int8)))
+        for begin, after in edges.reshape(-1, 2):
+            if (after - begin) * rig.dt >= ENOUGH * hold.seconds:
+                x, end = loaded.x[:, begin:after].T, after
+                recorded.append(RecordedHold(rig.u(hold.theta), x, state.since + begin * rig.dt))
+                break
+    return recorded
 
 
 def round_up(seconds: float) -> float:

@@ -33,8 +33,8 @@ def find_safe_range(rig: RigFile, constraint: Constraint, session: Session) -> S
     kept = rig.theta_safe
     while (theta := search.next()) is not None:
         if (theta - rig.theta_safe) * (kept - rig.theta_safe) < 0.0:
-            session.go(rig.theta_safe)  # the other side
-        session.go(theta)
+            session.go([rig.theta_safe])  # the other side
+        session.go([theta])
         margin = margins.hold()
         search.take(theta, margin)
         print(f"theta {theta:<9.4g} margin {margin:.2g}", flush=True)
@@ -43,10 +43,10 @@ def find_safe_range(rig: RigFile, constraint: Constraint, session: Session) -> S
             continue
         if theta == rig.theta_safe:
             raise LiveError(f"the constraint {rig.constraint} is not kept at theta_safe")
-        session.go(kept)
+        session.go([kept])
         margins.recover()
     safe = search.result()
-    session.go(rig.theta_safe)
+    session.go([rig.theta_safe])
     if safe.low >= safe.high:
         raise LiveError(f"the constraint {rig.constraint} is kept at theta_safe alone")
     print(describe(safe, rig), flush=True)

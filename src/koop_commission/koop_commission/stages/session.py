@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from koop_commission.rig.graph import (
 from koop_commission.rig.guarded_theta import GuardedTheta
 from koop_commission.rig.listener import Listener
 from koop_core.config.fields import parse_field, parse_source
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_guard.note import find_theta
@@ -48,8 +49,8 @@ class Session:
         Observer in the ROS domain.
     listener : Listener
         Receives the states.
-    command_type : str
-        Message type of the command, ``pkg/msg/Type``.
+    command_types : sequence of str
+        Message types of the command's topics, ``pkg/msg/Type``.
     nodes : LiveNodes
         The guard, and what runs beside.
     note : Path, optional
@@ -70,7 +71,7 @@ class Session:
         rig: RigFile,
         client: Client,
         listener: Listener,
-        command_type: str,
+        command_types: Sequence[str],
         nodes: LiveNodes,
         note: Path | None = None,
     ) -> None:
@@ -80,7 +81,7 @@ class Session:
         )
         if remark:
             print(remark, flush=True)
-        self.theta = GuardedTheta(client, rig, command_type, *theta)
+        self.theta = GuardedTheta(client, rig, command_types, theta)
         self.still = 0
         self.show: Callable[[], object] = lambda: None
         self._phase = "moving theta"
@@ -148,7 +149,7 @@ class Session:
         """Return a listener to the margin of the constraint, which each cost tells."""
         return Listener(self.client, COST, COST_TYPE, (parse_field("margin"),), reliable=True)
 
-    def go(self, theta: float) -> None:
+    def go(self, theta: Sequence[float]) -> None:
         """Move theta, and wait for the first state after its arrival."""
         self.theta.go(theta)
         self.wait_until(lambda: self.theta.arrived)
@@ -175,13 +176,14 @@ class Session:
         self._phase = f"{phase}, {elapsed:.0f} of {total:.0f} s"
         self._bar.set_description_str(phase, refresh=False)
         self._bar.total, self._bar.n = total, min(elapsed, total)
-        words = f"theta {self.theta.value:+.4g}" + f", {more}" * bool(more)
+        words = f"theta {format_knobs(self.theta.value, '+.4g')}" + f", {more}" * bool(more)
         self._bar.set_postfix_str(words, refresh=True)
 
     def _describe(self) -> dict[str, Any]:
         """Return the answer to ``koop status``."""
         folder = self._nodes.folder
-        text = f"  commissioning in {folder}: {self._phase}; theta = {self.theta.value:+.4g}"
+        theta = format_knobs(self.theta.value, "+.4g")
+        text = f"  commissioning in {folder}: {self._phase}; theta = {theta}"
         places = [str(path.resolve()) for path in (folder, *folder.parents[:2])]
         return {"healthy": True, "text": text, "places": places}
 
@@ -214,7 +216,7 @@ def open_session(rig: RigFile, nodes: LiveNodes, note: Path | None = None) -> It
     """
     refuse_incomplete_state(rig)
     with Client("_koop_session") as client:  # hidden: the guard waits for the rig to listen
-        _, command_type = find_types(client, rig)
+        _, command_types = find_types(client, rig)
         for describe in (describe_second_rig, describe_other_commanders):
             with suppress(LiveError):  # a program that has just ended is still listed
                 client.wait_for(lambda: not describe(client, rig), GONE, "others")  # noqa: B023
@@ -223,7 +225,7 @@ def open_session(rig: RigFile, nodes: LiveNodes, note: Path | None = None) -> It
         with nodes:
             state = parse_source(state_source(len(rig.names)))
             listener = Listener(client, state.topic, STATE_TYPE, state.fields, reliable=True)
-            session = Session(rig, client, listener, command_type, nodes, note)
+            session = Session(rig, client, listener, command_types, nodes, note)
             client.wait_for(
                 lambda: client.node.count_subscribers(COST) and client.node.count_publishers(COST),
                 START_TIMEOUT, f"lifter and recorder (see {nodes.folder}/logs)",
@@ -233,7 +235,7 @@ def open_session(rig: RigFile, nodes: LiveNodes, note: Path | None = None) -> It
                 try:
                     yield session
                 except LiveError as error:
-                    where = f"theta was returned to theta_safe = {rig.theta_safe:g}"
+                    where = f"theta was returned to theta_safe = {rig.spell('theta_safe')}"
                     raise LiveError(f"{error}. {where}") from error
 
 
@@ -245,7 +247,8 @@ def resumable(rig: RigFile, command: str) -> Iterator[None]:
     except LiveError as error:
         raise LiveError(f"{error}; to resume: {command}") from None
     except KeyboardInterrupt:
-        print(f"\ntheta is back at {rig.theta_safe:g}, or was not moved; to resume: {command}")
+        back = f"theta is back at {rig.spell('theta_safe')}, or was not moved"
+        print(f"\n{back}; to resume: {command}")
         raise
 
 

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from koop_commission.stages.closed_loop import ClosedLoop
 from koop_commission.stages.session import refuse_small_disk, resumable, spell_time
+from koop_core.config.knobs import format_knobs
 from koop_core.text_table import table
 from koop_guard.note import note_of
 from koop_tune.excitation import progress
+from koop_tune.excitation.bowl import fit_bowl
 from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import TUNED
 from koop_tune.result import tune_result
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.agreement import Aim, find_disagreements, find_faults, verdict
+from koop_tune.search.agreement import Aim, find_disagreements, find_faults, spell, verdict
 from koop_tune.search.prediction import Band
 from koop_tune.search.rounds import (
     Round,
@@ -33,7 +38,8 @@ def register(commands: Any) -> None:
     parser = commands.add_parser(
         "verify",
         description="Closes the loop with the controller of 'koop tune', from both ends of "
-        "theta's range, records it, and compares it with the prediction. The guard keeps theta "
+        "theta's range (of several knobs: from two opposite corners), records it, and compares "
+        "it with the prediction. The guard keeps theta "
         "within its limits and rate and returns it to theta_safe, as in 'koop excite'. The same "
         "command resumes an interrupted one. Exit code 0 only if the rig is damped.",
     )
@@ -75,7 +81,7 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     koop_core.config.parameter.ConfigError
         If the folder holds no controller for this rig.
     """
-    rig, settled = _read_excitation(rig, folder)
+    rig, state = _read_excitation(rig, folder)
     aim = tune_result.read(folder / TUNED).make_aim(rig)
     rounds = list(load_verification(folder).rounds)
     if not rounds or rounds[-1].finished or rounds[-1].prediction != aim.predicted:
@@ -83,20 +89,21 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     current = rounds.pop()
     aim = replace(aim, longer=find_longer(rounds))
     done = [run.start for run in current.runs]
-    left = [theta for theta in (rig.theta_min, rig.theta_max) if theta not in done]
-    settling = max(aim.time, aim.growth, *settled)
+    left = [theta for theta in find_starts(rig, state) if theta not in done]
+    settling = max([aim.time, aim.growth, *(hold.settled for hold in state.holds)])
     loop = ClosedLoop(rig, aim, folder, current.number, settling, note)
     rest = 2 * aim.settings.before * aim.window
-    besides = settling + rest + 1.5 * rig.span / rig.theta_rate
+    besides = settling + rest + 1.5 * rig.guard.longest_return * rig.pace
     refuse_small_disk(rig, folder, len(left) * (besides + aim.longest))
     least, most = (
         spell_time(len(left) * (besides + closed), rig.pace)
         for closed in (aim.duration, aim.longest)
     )
     print(
-        f"closing the loop from theta = {' and '.join(f'{start:.4g}' for start in left)}: "
+        f"closing the loop from theta = {' and '.join(map(spell, left))}: "
         f"{aim.duration:.0f} s each, up to {aim.longest:.0f} s where theta settles more slowly; "
-        f"in all {least}, at most {most}; Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
+        f"in all {least}, at most {most}; Ctrl-C ends it, theta returns to "
+        f"{rig.spell('theta_safe')}",
         flush=True,
     )
     for start in left:
@@ -109,10 +116,28 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     return _conclude((*rounds, current), len(rounds), aim, folder)
 
 
-def _read_excitation(rig: RigFile, folder: Path) -> tuple[RigFile, list[float]]:
-    """Return the rig with the limits that kept its constraint, and how long holds settled [s]."""
+def _read_excitation(rig: RigFile, folder: Path) -> tuple[RigFile, ExcitationProgress]:
+    """Return the rig with the limits that kept its constraint, and its excitation."""
     state = progress.load(rig, folder) or ExcitationProgress()
-    return state.narrow(rig), [hold.settled for hold in state.holds]
+    return state.narrow(rig), state
+
+
+def find_starts(rig: RigFile, state: ExcitationProgress) -> list[tuple[float, ...]]:
+    """Return thetas from which loops are closed: the ends of the range.
+
+    Of several knobs the corner that the excitation lets expect to be the worst, and the opposite
+    one: each knob begins at both of its ends.
+    """
+    n = rig.count
+    if n == 1:
+        return [rig.each("theta_min"), rig.each("theta_max")]
+    corners = np.array(list(itertools.product((0.0, 1.0), repeat=n)))
+    if len(state.holds) > n:
+        u = rig.u([hold.theta for hold in state.holds])
+        y = rig.sense * np.array([hold.level for hold in state.holds])
+        bowl = fit_bowl(u, y, np.array([hold.error for hold in state.holds]))
+        corners = corners[np.argsort(bowl.log(corners), kind="stable")]
+    return [rig.theta_at(1.0 - corners[-1]), rig.theta_at(corners[-1])]
 
 
 def judge(rig: RigFile, folder: Path, index: int) -> Verification:
@@ -153,8 +178,8 @@ def format_round(item: Round) -> str:
         row("|theta - theta*| [% of range]", [run.distance for run in runs], p.distance, 100.0),
         row("amplitude over the best", [run.excess for run in runs], p.excess),
         row("reduction, a factor of", [run.reduction for run in runs], p.reduction),
-        ["theta at the end", *(f"{run.theta:.4g}" for run in runs), ""],
-        ["swing of theta", *(f"{run.swing:.3g}" for run in runs), ""],
+        ["theta at the end", *(spell(run.theta) for run in runs), ""],
+        ["swing of theta", *(format_knobs(run.swing, ".3g") for run in runs), ""],
     ]
-    starts = [f"from {run.start:.4g}" for run in item.runs]
+    starts = [f"from {spell(run.start)}" for run in item.runs]
     return table([f"round {item.number}", *starts, "predicted"], rows)

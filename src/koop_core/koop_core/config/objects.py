@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from koop_core.config.parameter import ConfigError, mapping, refuse_unknown
+from koop_core.config.parameter import ConfigError, mapping, refuse_unknown, spec_of
 
 T = TypeVar("T")
 
@@ -61,6 +61,13 @@ def parse(kind: type[T], content: Any, where: str) -> T:
     content = mapping(content, where)
     hints, known = get_type_hints(kind), signature(kind).parameters
     refuse_unknown(content, known, "key", where)
+    of_knobs = {
+        item.name: tuple[float, ...]
+        for item in (fields(kind) if is_dataclass(kind) else ())
+        if "spec" in item.metadata and spec_of(item).per_knob
+        and isinstance(content.get(item.name), list | tuple)
+    }  # fmt: skip
+    hints |= of_knobs
     values = {key: convert(hints[key], content[key], f"{where}: {key}") for key in content}
     for name, item in known.items():
         if name not in values and item.default is Parameter.empty:

@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.columns import LOG_TIME, read_tables
+from koop_bag.bag.columns import LOG_TIME, Columns, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source, parse_source
 from koop_core.errors import InputError
+from koop_identify.recording.passes import of_knobs
 from koop_identify.recording.samples import batches
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.segments import Segmentation, Segmenter
@@ -32,7 +33,7 @@ class Loaded:
         Measured channels.
     begins : ndarray of bool, shape (M,)
         Whether a state follows on none.
-    theta : ndarray, shape (M,), or None
+    theta : ndarray, shape (M,) or of n > 1 knobs (M, n), or None
         Control input that was last received before each state, NaN before the first and where
         one that usually comes often has stayed away; None if the recording holds none.
     time : ndarray, shape (M,)
@@ -46,6 +47,11 @@ class Loaded:
     theta: NDArray[np.float64] | None
     time: NDArray[np.float64]
     recorded: float = 0.0
+
+    @property
+    def has_several_knobs(self) -> bool:
+        """Whether theta has several values at each state."""
+        return self.theta is not None and self.theta.ndim > 1
 
     def after(self, first: int) -> Loaded:
         """Return the recording from a sample on."""
@@ -87,13 +93,13 @@ def load_recording(bag: BagReader, reading: BagReading, segmentation: Segmentati
     koop_bag.errors.BagError
         If the bag lacks a topic or a field.
     koop_core.errors.InputError
-        If the command is more than one number, or no state is left.
+        If no state is left.
     """
-    measured, command = reading.measured, reading.command
-    if command is None and any(topic.name == LOOP_COMMAND.topic for topic in bag.topics):
-        command = LOOP_COMMAND
+    measured, commands = reading.measured, reading.commands
+    if not commands and any(topic.name == LOOP_COMMAND.topic for topic in bag.topics):
+        commands = (LOOP_COMMAND,)
     segmenter = Segmenter(segmentation)
-    theta = None if command is None else theta_at(bag, measured.topic, command)
+    theta = theta_at(bag, measured.topic, commands) if commands else None
     parts, begins, n, last = [], [], 0, 0.0
     origin: int | None = None
     for batch in segmentation.timed(batches(bag, measured)):
@@ -117,24 +123,30 @@ def load_recording(bag: BagReader, reading: BagReading, segmentation: Segmentati
     )
 
 
-def theta_at(bag: BagReader, measured: str, command: Source) -> NDArray[np.float64]:
-    """Return theta when each message of a topic was received, shape (K,); NaN where not known.
+def theta_at(bag: BagReader, measured: str, commands: Sequence[Source]) -> NDArray[np.float64]:
+    """Return theta when each message of a topic was received; NaN where not known.
 
-    The clock is the recorder's: state and theta may be stamped by others, or not at all.
+    Its shape is (K,), of n > 1 knobs (K, n). The clock is the recorder's: state and theta may be
+    stamped by others, or not at all.
     """
-    fields = {measured: [LOG_TIME], command.topic: [LOG_TIME, *command.names]}
+    fields = {measured: [LOG_TIME], **{c.topic: [LOG_TIME, *c.names] for c in commands}}
     columns = read_tables(bag, fields)  # in one pass
     received = columns[measured][LOG_TIME].astype(np.int64)
-    when = columns[command.topic][LOG_TIME].astype(np.int64)
+    return of_knobs(np.hstack([_held_at(columns[c.topic], received, c.names) for c in commands]))
+
+
+def _held_at(
+    columns: Columns, received: NDArray[np.int64], names: Sequence[str]
+) -> NDArray[np.float64]:
+    """Return the fields of a topic as they were last received at some times, shape (K, n)."""
+    when = columns[LOG_TIME].astype(np.int64)
     if not when.size:
-        return np.full(received.size, np.nan)
-    numbers = np.column_stack([columns[command.topic][name] for name in command.names])
-    if numbers.shape[1] != 1:
-        raise InputError(f"command {command}: {numbers.shape[1]} numbers; name one of them")
+        return np.full((received.size, len(names)), np.nan)
     order = np.argsort(when, kind="stable")
-    when, value = when[order], numbers[order, 0].astype(np.float64)
+    numbers = np.column_stack([columns[name] for name in names]).astype(np.float64)
+    when, value = when[order], numbers[order]
     usual = float(np.median(np.diff(when))) if when.size > 1 else np.inf
     place = np.searchsorted(when, received, side="right") - 1
     held, age = value[np.maximum(place, 0)], received - when[np.maximum(place, 0)]
     valid = (place >= 0) & (age <= max(READING.stale * usual, READING.stale_least * 1e9))
-    return np.where(valid, held, np.nan)
+    return np.where(valid[:, None], held, np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -105,10 +106,10 @@ class LoopRecord:
         return replace(self, **{name: getattr(self, name)[self.answered] for name in BY_ROW})
 
 
-def read_loop(bag: Path, namespace: str = "/", command: Source | None = None) -> LoopRecord:
+def read_loop(bag: Path, namespace: str = "/", commands: Sequence[Source] = ()) -> LoopRecord:
     """Read the loop's four topics from a bag; only the states must be there.
 
-    With a command that the bag has, theta is what the rig was told when a state was received.
+    With commands that the bag has, theta is what the rig was told when a state was received.
 
     Raises
     ------
@@ -132,8 +133,8 @@ def read_loop(bag: Path, namespace: str = "/", command: Source | None = None) ->
             topic = f"{base}/{name}"
             if topic in present:
                 columns[name] = _columns(reader, topic, [*names, "log_time"])
-        if command is not None and command.topic in {*present} - {f"{base}/theta"}:
-            columns["state"]["commanded"] = theta_at(reader, f"{base}/state", command)
+        if commands and {c.topic for c in commands} <= {*present} - {f"{base}/theta"}:
+            columns["state"]["commanded"] = theta_at(reader, f"{base}/state", commands)
     return _align(columns, inactive)
 
 
@@ -176,7 +177,7 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
     limited = messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_)
     if "commanded" in columns["state"]:  # the controller's limit counts where the rig was at it
         answer, theta = theta, at("state", "commanded")
-        limited &= np.isclose(answer, theta)
+        limited &= np.isclose(answer, theta).reshape(rows.size, -1).all(axis=1)
     models = columns.get("cost", {}).get("model_id", ())
     times = columns["state"]["log_time"].astype(np.int64)
     truth = "ground_truth" in columns

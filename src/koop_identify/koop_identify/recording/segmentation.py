@@ -25,8 +25,8 @@ class BagReading:
     ----------
     measured : Source
         Fields that are the state.
-    command : Source or None
-        Field that is theta; None: the loop's own where the bag has it.
+    commands : tuple of Source
+        Fields that are theta, of each knob; none: the loop's own first where the bag has it.
     dt : float or None
         Time between two states [s]; None: the recorded loop's, else the messages'.
     gap : float or None
@@ -35,7 +35,7 @@ class BagReading:
     """
 
     measured: Source
-    command: Source | None = None
+    commands: tuple[Source, ...] = ()
     dt: float | None = None
     gap: float | None = None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -153,11 +154,11 @@ def loop_signals(
     namespace: str,
     dt: float | None,
     names: tuple[str, ...] | None = None,
-    command: Source | None = None,
+    commands: Sequence[Source] = (),
 ) -> tuple[LoopRecord, Signals]:
     """Read the signals of a loop's own topics; dt from the times of reception where not given.
 
-    A command, as of a guard, is what theta was where the controller's theta need not be.
+    Commands, as of a guard, are what theta was where the controller's theta need not be.
     """
-    record = read_loop(path, namespace, command)
+    record = read_loop(path, namespace, commands)
     return record, of_loop(record, dt or record.measured_dt, names)

@@ -52,5 +52,5 @@ def reading_of(args: argparse.Namespace, default: str = "") -> BagReading | None
             if value is not None:
                 raise InputError(f"--{name} needs --measured: which fields are the state")
         return None
-    command = recorded_source(args.commanded) if args.commanded else None
-    return BagReading(recorded_source(measured), command, args.dt, args.gap)
+    commands = (recorded_source(args.commanded),) if args.commanded else ()
+    return BagReading(recorded_source(measured), commands, args.dt, args.gap)

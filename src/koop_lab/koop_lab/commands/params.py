@@ -27,6 +27,6 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    listed = list_untuned(read(args.rig, several=True), note_of(args.rig)) if args.rig else {}
+    listed = list_untuned(read(args.rig), note_of(args.rig)) if args.rig else {}
     print(annotated(args.nodes or dict.fromkeys((*OF_A_RIG, *listed)), listed), end="")
     return 0

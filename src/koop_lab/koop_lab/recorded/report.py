@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_core.config.fields import Source, parse_source
+from koop_core.config.fields import Source, parse_sources
 from koop_core.errors import InputError
 from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
@@ -121,7 +121,7 @@ def read(
     with BagReader(path) as bag:
         values = recorded_values(bag, path, namespace, (*NODES, "koop_guard"))
     guard = values.pop("koop_guard", {})
-    command = _commanded(guard["command"], namespace) if guard else None
+    commands = _commanded(guard["command"], namespace) if guard else []
     recorded = {
         node: {k: v for k, v in section.items() if k in known_parameters(node)}
         for node, section in values.items()
@@ -129,7 +129,7 @@ def read(
     parameters = make(recorded) if recorded else None
     dt = dt or (parameters.lifter.dt if parameters else chosen.dt if chosen else None)
     names = chosen.state_names if chosen else None
-    loop, signals = loop_signals(path, namespace, dt, names, command)
+    loop, signals = loop_signals(path, namespace, dt, names, commands)
     used = chosen
     if used is None and loop.model_id:
         named = str(recorded.get("koopman_lifter", {}).get("model", ""))
@@ -139,12 +139,13 @@ def read(
     return RecordedRun(path, signals, loop, parameters, theta_star, used)
 
 
-def _commanded(text: str, namespace: str) -> Source:
-    """Return what the guard of a namespace commanded; its topic by its full name."""
-    command = parse_source(text)
-    absolute = command.topic.startswith("/")
-    base = "" if absolute else namespace.rstrip("/") + "/"
-    return command._replace(topic=base + command.topic)
+def _commanded(text: str, namespace: str) -> list[Source]:
+    """Return what the guard of a namespace commanded; its topics by their full names."""
+    base = namespace.rstrip("/") + "/"
+    return [
+        c if c.topic.startswith("/") else c._replace(topic=base + c.topic)
+        for c in parse_sources(text)
+    ]
 
 
 def rig_metrics_of(

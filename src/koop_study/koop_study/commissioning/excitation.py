@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +16,7 @@ from koop_study.family import oscillator
 from koop_study.family.knobs import KnobsRig
 from koop_study.family.rig import RandomRig
 from koop_study.family.settings import FAMILY
-from koop_tune.excitation.design import DESIGN, Design
+from koop_tune.excitation.design import DESIGN
 from koop_tune.excitation.knobs_design import KnobsDesign
 from koop_tune.rig.rig_file import RigFile, state_source
 
@@ -32,7 +31,7 @@ class SimulatedExcitation:
         Control input of each sample; of n knobs.
     x : ndarray, shape (M, n)
         Measured channels.
-    design : Design
+    design : KnobsDesign
         Its decisions.
     elapsed : float
         Time [s].
@@ -40,7 +39,7 @@ class SimulatedExcitation:
 
     theta: NDArray[np.float64]
     x: NDArray[np.float64]
-    design: Any
+    design: KnobsDesign
     elapsed: float
 
     @property
@@ -160,7 +159,7 @@ def excite(
     ValueError
         If no channel moves.
     """
-    design: Design | KnobsDesign = Design(file) if knobs is None else KnobsDesign(file)
+    design = KnobsDesign(file)
     running = Running(rig, min(file.each("theta_rate")), seed, knobs)
     heard = running.hold(math.ceil(DESIGN.shortest / file.dt))
     while design.listens(heard):
@@ -174,15 +173,15 @@ def excite(
     return SimulatedExcitation(*running.recorded(), design, running.elapsed)
 
 
-def _go_on(design: Any, running: Running) -> bool:
+def _go_on(design: KnobsDesign, running: Running) -> bool:
     """Excite until enough is known; return False if the time is over."""
-    time, knobs = design.rig.time, design.rig.knobs()
+    time = design.rig.time
     while (move := design.next()) is not None:
         for u in (move.via, move.u):
             if u is not None:
-                theta = [k.scale.theta_at(v) for k, v in zip(knobs, np.atleast_1d(u), strict=True)]
-                running.go(theta if len(knobs) > 1 else theta[0])
-        design.arrive(move, running.elapsed, running.steps)
+                theta = design.rig.theta_at(u)
+                running.go(theta if len(theta) > 1 else theta[0])
+        design.arrive(move, running.elapsed)
         while not design.take(running.hold(design.windows.length)):
             if running.elapsed > time:
                 return False

@@ -13,11 +13,12 @@ from koop_study.family.config import FamilyConfig
 from koop_study.family.knobs import draw_knobs
 from koop_study.family.loop import RigController, close, noise_of
 from koop_tune.excitation.design import KNOWN
+from koop_tune.result.summary import summarise
 from koop_tune.search.agreement import find_faults, measure
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.run import make_lifter
 from koop_tune.search.settings import TuningSettings
-from koop_tune.tune_knobs import tune_knobs
+from koop_tune.search.tune_knobs import tune_knobs
 
 
 def commission_knobs(
@@ -47,7 +48,7 @@ def commission_knobs(
         "seed": seed, "start": rig.excess(rig.start), "held": rig.excess(design.base),
         "holds": len(design.held), "excited": recorded.elapsed / own.time, "damped": False,
     }  # fmt: skip
-    if design.ended != KNOWN:
+    if design.ended != KNOWN or design.amplitude is None:
         return {**row, "verdict": design.ended or "time"}
     settings = TuningSettings(seed=seed, effort=effort, workers=1)
     try:
@@ -57,8 +58,7 @@ def commission_knobs(
     except NoOptimum as no:
         return {**row, "verdict": no.kind, "why": str(no)}
     lifter = make_lifter(tuning.tuning.task, tuning.tuning.best.constants)
-    aims, runs = tuning.make_aims(), []
-    aim = next(iter(aims.values()))
+    aim, runs = summarise(tuning).make_aim(file), []
     steps = n * round(duration * own.time / dt)
     rests = aim.settings.before * max(aim.amplitude.windows.length, round(aim.time / dt))
     for end in ("low", "high"):
@@ -76,13 +76,7 @@ def commission_knobs(
         controller = RigController(lifter, esc, tuning.tuning.chosen.maps.cost.model)
         noise = noise_of(begin, steps, seed)
         runs.append((before, close(begin, controller, noise, seed, rig)))
-    faults = [
-        fault
-        for k, each in aims.items()
-        for fault in find_faults(
-            each, [measure(each, before, run.x, run.theta[:, k]) for before, run in runs]
-        )
-    ]
+    faults = find_faults(aim, [measure(aim, before, run.x, run.theta) for before, run in runs])
     return {
         **row, "verdict": "tuned", "useless": tuning.useless, "faults": faults,
         "damped": not faults, "ratio": [run.ratio for _, run in runs],

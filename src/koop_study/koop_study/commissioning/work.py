@@ -37,7 +37,8 @@ from koop_tune.search.findings import NoOptimum
 from koop_tune.search.rounds import LoopRun, Round, find_longer, find_slowdown, kept_index
 from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
-from koop_tune.search.tuning import Tuning, tune
+from koop_tune.search.tune_knobs import tune_knobs
+from koop_tune.search.tuning import Tuning
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 
@@ -116,16 +117,17 @@ def commissioned(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )
         amplitude = recorded.design.amplitude
-        tuning = tune(loaded, file, training_of(rig), amplitude, settings)
+        tuned = tune_knobs(loaded, file, {}, training_of(rig), amplitude, settings)
+        tuning = tuned.tuning
         if not rig.has_optimum:
             return tuning
         passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
         loops = first.later(len(rounds), find_longer(rounds), passed) if rounds else first
         closed = loops.close(tuned_controller(tuning))
-        aim = summarise(tuning, file, None).make_aim(file)
+        aim = summarise(tuned).make_aim(file)
         before = [loops.rest(end, start, aim, 3 * OTHER) for end, start in enumerate(starts)]
         runs = tuple(
-            LoopRun(start, measure(aim, rest, loop.x, loop.theta))
+            LoopRun((start,), measure(aim, rest, loop.x, loop.theta))
             for start, rest, loop in zip(starts, before, closed, strict=True)
         )
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)
@@ -135,9 +137,9 @@ def commissioned(
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
         tried.append((tuning, result))
         for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
-            theta = run.measured.theta
+            (theta,) = run.measured.theta
             after = loops.rest(end + 1, theta, aim, 5 * OTHER)
-            path = np.r_[np.full(len(rest), run.start), loop.theta, np.full(len(after), theta)]
+            path = np.r_[np.full(len(rest), run.start[0]), loop.theta, np.full(len(after), theta)]
             recording = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
             loaded = Loaded.joined([loaded, recording])
     which = kept_index(rounds)

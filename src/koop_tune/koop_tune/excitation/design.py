@@ -454,15 +454,15 @@ class Design:
 
     def levels(self) -> list[Level]:
         """Return the level of each finished hold."""
-        amplitude, wander = self._summed, self._wander()
+        amplitude, wander = self.summed, self._wander()
         return [hold.level(amplitude, wander) for hold in self.holds]
 
     def _wander(self) -> float:
         """Return how slowly the amplitude comes and goes, as most holds show it."""
-        return usual_wander([hold.level(self._summed).wander for hold in self.holds])
+        return usual_wander([hold.level(self.summed).wander for hold in self.holds])
 
     @property
-    def _summed(self) -> Amplitude:
+    def summed(self) -> Amplitude:
         """What reacts; everything until that is known."""
         if self.amplitude is not None:
             return self.amplitude
@@ -471,12 +471,12 @@ class Design:
 
     # -- how long theta is held -----------------------------------------------------------------
 
-    def arrive(self, move: Move, elapsed: float, begin: int = -1) -> None:
-        """Begin a hold, after so much of the rig's time [s], with sample ``begin``."""
+    def arrive(self, move: Move, elapsed: float, number: int = -1) -> None:
+        """Begin a hold, after so much of the rig's time [s], with its number."""
         s = self._settings
         before = self._hold.u if move.via is None else move.via
         self._hold = Hold(
-            move.u, int(np.sign(move.u - before)), np.empty((0, len(self.rig.names))), begin,
+            move.u, int(np.sign(move.u - before)), np.empty((0, len(self.rig.names))), number,
             move.why,
         )  # fmt: skip
         self._next, self._usual, self._target = 0, self._wander(), self._target_error()
@@ -513,7 +513,7 @@ class Design:
             return False
         self._next = count + 1 + int(s.soon * count)
         if count < self._most:
-            level = hold.level(self._summed, self._usual)
+            level = hold.level(self.summed, self._usual)
             if self._brief and self.rig.sense * level.mean + 2.0 * level.error < self._expected:
                 self._brief = False  # a valley, or an oscillation that has not grown yet
                 self._least = min(self._needed_windows(), self._most)

@@ -46,8 +46,8 @@ class Hold:
         1 if theta came from below, -1 from above.
     x : ndarray, shape (M, n)
         Samples since theta arrived.
-    begin : int
-        Number of the first one in the recording; -1 where it is not known.
+    number : int
+        Number of the hold, in order; -1 where it is not known.
 
     Attributes
     ----------
@@ -57,8 +57,8 @@ class Hold:
         Why theta is there.
     """
 
-    def __init__(self, u: float, side: int, x: Array, begin: int = -1, why: str = "") -> None:
-        self.u, self.side, self.begin, self.why = u, side, begin, why
+    def __init__(self, u: float, side: int, x: Array, number: int = -1, why: str = "") -> None:
+        self.u, self.side, self.number, self.why = u, side, number, why
         self.size = x.shape[0]
         self.confirms = False
         self._parts = [x]

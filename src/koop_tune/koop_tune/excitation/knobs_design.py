@@ -1,4 +1,6 @@
-"""What an excitation decides where a rig has several knobs: sections, and a bowl between them.
+"""What an excitation decides of all knobs of a rig: sections, and a bowl between them.
+
+A rig with one knob has one section. With several:
 
 1. Each knob in turn goes over its range, the others where the best was seen so far.
 2. A knob without effect is named, and stays at its start.
@@ -60,8 +62,16 @@ class KnobsMove(NamedTuple):
     why: str = ""
 
 
+class RecordedHold(NamedTuple):
+    """A hold of an interrupted excitation: positions, shape (n,), samples, and when it began."""
+
+    u: Array
+    x: Array
+    elapsed: float
+
+
 class KnobsDesign:
-    """The decisions of an excitation of several knobs; it is used as a :class:`Design` is.
+    """The decisions of an excitation, of one knob or several; it is used as a :class:`Design` is.
 
     Parameters
     ----------
@@ -71,6 +81,8 @@ class KnobsDesign:
         Thresholds.
     of_section : DesignSettings
         Those of a section.
+    recorded : sequence of RecordedHold
+        What an interrupted one recorded: theta need not go there again.
 
     Attributes
     ----------
@@ -82,24 +94,27 @@ class KnobsDesign:
         Holds of each knob that has an effect through the best, their ``u`` the knob's position.
     lines : dict of int to ndarray, shape (n,)
         A position of each of these sections.
-    since : float
-        As a Design's: all count.
     base : ndarray, shape (n,)
         The best position so far.
     """
 
     def __init__(
-        self, rig: RigFile, settings: KnobsSettings = KNOBS, of_section: DesignSettings = DESIGN
+        self,
+        rig: RigFile,
+        settings: KnobsSettings = KNOBS,
+        of_section: DesignSettings = DESIGN,
+        recorded: Sequence[RecordedHold] = (),
     ) -> None:
         self.rig, self.ended = rig, ""
         self.sections: dict[int, list[Hold]] = {}
         self.lines: dict[int, Array] = {}
-        self.since = 0.0
-        self.base = self._start = np.array([knob.u_start for knob in rig.knobs()])
+        self.base = self._start = rig.u(rig.each("theta_start"))
         self._useful = list(range(rig.count))
-        self._settings, self._of_section = settings, replace(of_section, gap=settings.gap)
+        of_section = replace(of_section, gap=settings.gap) if rig.count > 1 else of_section
+        self._settings, self._of_section = settings, of_section
+        self._recorded, self._arrivals = list(recorded), 0
         self._done: list[tuple[Hold, Array]] = []
-        self._section = 0
+        self._section, self._through = 0, self.base
         self._design = Design(rig.knob(0), settings=self._of_section)
         self._moves = self._plan()
         self.listens, self.look = self._design.listens, self._design.look
@@ -115,10 +130,26 @@ class KnobsDesign:
         return self._design.amplitude
 
     @property
+    def since(self) -> float:
+        """As a Design's; of several knobs, all holds count."""
+        return self._design.since if self.rig.count == 1 else 0.0
+
+    @property
+    def left(self) -> int:
+        """As a Design's, of the present section."""
+        return self._design.left
+
+    @property
+    def needed(self) -> float:
+        """As a Design's, of all knobs that theta has not gone over yet."""
+        return self._design.needed * max(self.rig.count - len(self.lines), 1)
+
+    @property
     def held(self) -> list[tuple[Hold, Array]]:
-        """Finished holds, each with its positions."""
+        """Finished holds in order, each with its positions."""
         own = [(hold, self._at(hold.u)) for hold in self._design.holds]
-        return [item for item in (*self._done, *own) if self._is_long(item[0])]
+        held = [item for item in (*self._done, *own) if self._is_long(item[0])]
+        return sorted(held, key=lambda item: item[0].number)
 
     def _is_long(self, hold: Hold) -> bool:
         """Return whether a hold is long enough for the windows of now."""
@@ -129,20 +160,32 @@ class KnobsDesign:
         return self._levels_of([hold for hold, _ in self.held])
 
     def _levels_of(self, holds: Sequence[Hold]) -> list[Level]:
-        amplitude = self.amplitude
-        assert amplitude is not None, "nothing reacts"
+        amplitude = self._design.summed
         wander = usual_wander([hold.level(amplitude).wander for hold in holds])
         return [hold.level(amplitude, wander) for hold in holds]
 
     def next(self) -> KnobsMove | None:
         """Return where theta goes next; None once enough is known."""
-        return next(self._moves, None)
+        while (move := next(self._moves, None)) is not None and self._take_recorded(move):
+            pass
+        return move
 
-    def arrive(self, move: KnobsMove, elapsed: float, begin: int = -1) -> None:
+    def _take_recorded(self, move: KnobsMove) -> bool:
+        """Take the hold that was recorded there; return False if none was, or a short one."""
+        for i, recorded in enumerate(self._recorded):
+            if np.abs(recorded.u - move.u).max() < self._of_section.passed:
+                del self._recorded[i]
+                self.arrive(move, recorded.elapsed)
+                return self.take(recorded.x)
+        return False
+
+    def arrive(self, move: KnobsMove, elapsed: float) -> None:
         """As :meth:`Design.arrive`."""
         self._design.rig = self._rig_of(self._section)
         via = None if move.via is None else float(move.via[self._section])
-        self._design.arrive(Move(float(move.u[self._section]), via, move.why), elapsed, begin)
+        at = Move(float(move.u[self._section]), via, move.why)
+        self._arrivals += 1
+        self._design.arrive(at, elapsed, self._arrivals)
 
     def take(self, x: Array) -> bool:
         """As :meth:`Design.take`."""
@@ -160,12 +203,17 @@ class KnobsDesign:
     # -- where theta goes -----------------------------------------------------------------------
 
     def _plan(self) -> Iterator[KnobsMove]:
+        if self.rig.count == 1:
+            yield from self._along(0)
+            self.ended, self.sections = self._design.ended, {0: self._design.holds}
+            self.lines = {0: self.base}
+            return
         knobs = range(self.rig.count)
         lines: dict[int, list[Hold]] = {knob: [] for knob in knobs}
         for knob in (*knobs, *knobs):  # again where windows became longer meanwhile
             if sum(map(self._is_long, lines[knob])) < self._of_section.first:
                 yield from self._along(knob, whole=False)
-                lines[knob] = self._design.holds
+                lines[knob], self.lines[knob] = self._design.holds, self.base
                 self._move_base()
         if self.amplitude is None:
             self.ended = FLAT
@@ -181,7 +229,7 @@ class KnobsDesign:
             for side in (1.0, -1.0):
                 place = self._beside({a: way[a], b: side * way[b]})
                 yield from self._hold_at(place, "how two knobs are coupled")
-        self.sections = {}
+        self.sections, self.lines = {}, {}
         for _ in range(self._settings.cycles):
             yield from self._descend()
             for knob in self._useful:
@@ -199,6 +247,7 @@ class KnobsDesign:
     ) -> Iterator[KnobsMove]:
         """Find out a section through the base; or only go to the first positions."""
         others, on = np.arange(self.base.size) != knob, []
+        self._through = self.base
         held, self._done = self.held, []
         for hold, u in held:
             if np.abs(u - self.base)[others].max() > self._settings.same:
@@ -228,14 +277,14 @@ class KnobsDesign:
         return self.rig.knob(knob, theta_start=min(max(theta, rig.theta_min), rig.theta_max))
 
     def _at(self, u: float) -> Array:
-        """Return the base with the position of the section's knob in its place."""
-        place = self.base.copy()
+        """Return where theta is if the knob of the section is at a position."""
+        place = self._through.copy()
         place[self._section] = u
         return place
 
     def _hold_at(self, u: Array, why: str) -> Iterator[KnobsMove]:
         """Hold once at some place."""
-        self._done = self.held
+        self._done, self._through = self.held, u
         self._begin(self._section, (), ())
         yield KnobsMove(u, None, why)
         self._done += [(hold, u) for hold in self._design.holds]

@@ -16,14 +16,24 @@ NAME = "excite.json"
 
 
 class HoldSummary(NamedTuple):
-    """A hold: theta, logarithm of the amplitude, its error, time to settle and all [s], and why."""
+    """A hold: theta of each knob, logarithm of the amplitude, its error, times [s], and why.
 
-    theta: float
+    It ``settled`` within the first time, and was ``seconds`` long.
+    """
+
+    theta: tuple[float, ...]
     level: float
     error: float
     settled: float
     seconds: float
     why: str = ""
+
+
+class SectionLine(NamedTuple):
+    """A knob, and a theta through which the section of the map over it goes."""
+
+    knob: int
+    theta: tuple[float, ...]
 
 
 @dataclass
@@ -48,6 +58,8 @@ class ExcitationProgress:
         Why it ended: ``known``, ``flat`` or ``time``; empty before.
     safe : SafeRange or None
         Thetas that keep the constraint; None before they are known, and without one.
+    sections : list of SectionLine
+        Of each knob that has an effect, once they are known.
     """
 
     windows: Windows | None = None
@@ -58,6 +70,7 @@ class ExcitationProgress:
     since: float = 0.0
     ended: str = ""
     safe: SafeRange | None = None
+    sections: list[SectionLine] = field(default_factory=list)
 
     def narrow(self, rig: RigFile) -> RigFile:
         """Return the rig file with the limits of theta that keep the constraint."""

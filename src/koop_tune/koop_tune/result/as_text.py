@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 from koop_core.text_table import table
@@ -17,29 +18,40 @@ from koop_tune.result.parameter_text import (
 )
 from koop_tune.result.tune_result import TuneResult
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.run import make_esc, make_lifter
+from koop_tune.search.run import make_lifter
+from koop_tune.search.tune_knobs import KnobsTuning
 from koop_tune.search.tuning import Tuning
 
 
-def as_table(result: TuneResult) -> str:
-    """Return the static map and what each cost shows of it; empty where nothing reacts."""
+def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
+    """Return the static maps and what each cost shows; empty where nothing reacts.
+
+    ``names`` are those of the knobs.
+    """
     if (fit := result.static_map) is None:
         return ""
-    rows = [
-        [
-            f"{theta:.4g}",
-            f"{amplitude:.4g}",
-            f"{100 * error:.2g} %" if error < 1 else "> 100 %",
-        ]
-        for theta, amplitude, error in zip(*fit.holds, strict=True)
-    ]
     lines = [
         f"amplitude of {fit.feature}; 1 is the strongest seen, {fit.amplitude.floor:.2g} the "
-        f"least that can be resolved; the oscillation's period is {fit.period:.3g} s",
-        table(["theta", "amplitude", "error"], rows),
-        f"best at {fit.theta_best:.4g}; within {MAP.good:g} times that from "
-        f"{fit.valley.low:.4g} to {fit.valley.high:.4g}",
+        f"least that can be resolved; the oscillation's period is {fit.period:.3g} s"
     ]
+    for k, each in result.maps.items():
+        rows = [
+            [
+                f"{theta:.4g}",
+                f"{amplitude:.4g}",
+                f"{100 * error:.2g} %" if error < 1 else "> 100 %",
+            ]
+            for theta, amplitude, error in zip(*each.holds, strict=True)
+        ]
+        of, at = (f"{names[k]}: ", ", the others at theirs") if len(names) > 1 else ("", "")
+        lines += [
+            table([names[k], "amplitude", "error"], rows),
+            f"{of}best at {each.theta_best:.4g}{at}; within {MAP.good:g} times that from "
+            f"{each.valley.low:.4g} to {each.valley.high:.4g}",
+        ]
+    useless = [name for k, name in enumerate(names) if k not in result.maps]
+    if useless and result.controller:
+        lines.append(f"no effect, so they rest: {', '.join(useless)}")
     lines += [fit.moved] * bool(fit.moved)
     if len(fit.modes) > 1:
         lines.append(f"share in the amplitude's square over theta: {'; '.join(fit.modes[:6])}")
@@ -50,6 +62,8 @@ def as_table(result: TuneResult) -> str:
             score = "-" if cost.score is None else f"{cost.score:.3g}"
             rows.append([cost.name, best, f"{cost.evidence:.3g}", score])
         lines += ["", table(["cost", "best at theta", "evidence (Δχ²)", "score"], rows)]
+        if len(names) > 1:
+            lines.append(f"costs over {names[fit.knob]}, which shows the optimum best")
         if result.controller:
             lines.append(
                 "score: amplitude over the best one and time to converge, also of a moving "
@@ -59,9 +73,10 @@ def as_table(result: TuneResult) -> str:
     return "\n".join(lines)
 
 
-def as_words(tuning: Tuning) -> str:
+def as_words(tuned: KnobsTuning) -> str:
     """Return the choice, its reason and the prediction."""
-    c, p = tuning.best.constants, tuning.prediction
+    tuning, p, names = tuned.tuning, tuned.prediction, tuned.rig.knob_names
+    c, several = tuning.best.constants, len(names) > 1
     span = "of log theta's range" if tuning.findings.scale.logarithmic else "of theta's range"
     direction = "down" if tuning.task.sense > 0 else "up"
     notes = [f"in doubt: {tuning.findings.doubt}"] if tuning.findings.doubt else []
@@ -69,30 +84,34 @@ def as_words(tuning: Tuning) -> str:
         best = tuning.findings.scale.theta_at(tuning.findings.static_map.best())
         margin = f"margin {safe.margin_at(best):.2g} is predicted at {best:.4g}"
         notes.append(f"the constraint is kept from {safe.low:.4g} to {safe.high:.4g}: {margin}")
-    notes += [f"narrower: {tuning.findings.limits.why}"] if tuning.findings.limits.why else []
+    notes += [
+        f"narrower{f', {name}' * several}: {limits.why}"
+        for name, limits in zip(names, tuned.limits, strict=True) if limits.why
+    ]  # fmt: skip
+    many = f", {len(tuned.sections)} knobs one after another" * several
     return "\n".join(
         [
             *notes,
             f"cost {tuning.chosen.name}: {tuning.why}",
             f"law {c.law}, omega_h {c.omega_h:.3g} rad/s, omega_l {c.omega_l:.3g} rad/s, "
             f"dwell {c.dwell:.3g} s, tau_f {c.tau_f:.3g} s",
-            f"predicted, from either end of the range ({p.runs} runs; median, 5 to 95 %):",
+            f"predicted, from either end of the range{many} ({p.runs} runs; median, 5 to 95 %):",
             f"  converges within {p.converges.as_text()} s",
             f"  then |theta - theta*| is {p.distance.as_text(100.0)} % {span} on average",
             f"  amplitude over the best one {p.excess.as_text()}",
-            f"  amplitude {direction} by a factor of {p.reduction.as_text()}",
+            *[f"  amplitude {direction} by a factor of {p.reduction.as_text()}"] * (not several),
         ]
     )
 
 
 def list_parameters(
-    tuning: Tuning, rig: RigFile, model: Path | None, note: Path | None = None
+    tuned: KnobsTuning, model: Path | None, note: Path | None = None
 ) -> dict[str, Parameters]:
     """Return the parameters that are not the defaults by node, each with its reason."""
     return {
-        "koopman_lifter": _lifter(tuning, rig, model),
-        "relay_esc": _esc(tuning, rig),
-        "koop_guard": list_guard(rig, note),
+        "koopman_lifter": _lifter(tuned.tuning, tuned.rig, model),
+        "relay_esc": _esc(tuned),
+        "koop_guard": list_guard(tuned.rig, note),
     }
 
 
@@ -123,10 +142,15 @@ def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
     return parameters | list_lifter(rig)
 
 
-def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
+def _esc(tuned: KnobsTuning) -> Parameters:
+    tuning, rig, esc = tuned.tuning, tuned.rig, tuned.esc
     c, findings, time = tuning.best.constants, tuning.findings, tuning.time
-    logarithmic = findings.scale.logarithmic
-    ratio = rig.theta_max / rig.theta_min if rig.theta_min else math.nan
+    logarithmic = esc.theta_scale == "log"
+    ratio = min(s.high / s.low if s.low else math.nan for s in rig.scales)
+    low, high = (
+        "; ".join(why for why in dict.fromkeys(whys) if why)
+        for whys in zip(*((each.why_low, each.why_high) for each in tuned.limits), strict=True)
+    )
     reasons = {
         "law": "of the same search",
         "theta_scale": f"theta's limits are a factor of {ratio:.3g} apart" if logarithmic
@@ -135,15 +159,14 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
         "step_ratio": "of the same search",
         "dwell": f"{c.dwell / time:.3g} times the rig's own time of {time:.3g} s",
         "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
-        "theta_min": findings.limits.why_low or OF_RIG,
-        "theta_max": findings.limits.why_high or OF_RIG,
+        "theta_min": low or OF_RIG,
+        "theta_max": high or OF_RIG,
         "widest": "the rig file's limits, but beside a cliff: if the optimum leaves, theta follows",
         "rate_limit": "theta_rate of the rig file"
         + (" over theta_max: the rate of log theta" if logarithmic else ""),
         "objective": OF_RIG,
         "theta_initial": "theta_safe of the rig file: from there the guard lets it command",
     }  # fmt: skip
-    esc = make_esc(tuning.task, c, rig.theta_safe)
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
     if findings.safe is not None:
         slope = float(f"{findings.safe.slope(findings.scale):.3g}")
@@ -159,9 +182,7 @@ def describe_barrier(safe: SafeRange, slope: float) -> str:
     return f"the constraint ends theta's range on {sides}: theta's limits alone keep it"
 
 
-def as_parameters(
-    tuning: Tuning, rig: RigFile, model: Path | None, note: Path | None = None
-) -> str:
+def as_parameters(tuned: KnobsTuning, model: Path | None, note: Path | None = None) -> str:
     """Return the annotated parameter file; ``note`` is where theta's last value is noted."""
-    listed = list_parameters(tuning, rig, model, note)
+    listed = list_parameters(tuned, model, note)
     return annotated((*listed, "recorder"), listed)

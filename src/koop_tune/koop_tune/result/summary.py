@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,10 +25,10 @@ from koop_tune.result.tune_result import (
     Points,
     TuneResult,
 )
-from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.search.findings import CostMaps, Findings, NoOptimum
 from koop_tune.search.prediction import PERCENTILES
+from koop_tune.search.tune_knobs import KnobsTuning
 from koop_tune.search.tuning import Tuning
 
 EVERY = 4  # points of a curve that are kept, one of so many
@@ -38,21 +39,32 @@ def summarise_refusal(no: NoOptimum) -> TuneResult:
     if no.findings is None:
         return TuneResult(no.kind, str(no))
     costs = [_summarise_cost(candidate, no.findings) for candidate in no.findings.costs]
-    return TuneResult(no.kind, str(no), _summarise_map(no.findings), costs)
+    return TuneResult(no.kind, str(no), _summarise_map(no.findings, no.knob), costs)
 
 
-def summarise(tuning: Tuning, rig: RigFile, model: Path | None) -> TuneResult:
+def summarise(tuned: KnobsTuning, model: Path | None = None) -> TuneResult:
     """Return the findings, the choice and the prediction."""
+    tuning, several = tuned.tuning, tuned.rig.count > 1
     findings = tuning.findings
     controller = ControllerResult(
-        tuning.chosen.name, findings.doubt, tuning.best.constants, tuning.time, tuning.prediction,
-        [_draw_path(tuning, end) for end in (0, 1)], _list_parameters(tuning, rig, model),
+        tuning.chosen.name, findings.doubt, tuning.best.constants, tuning.time, tuned.prediction,
+        [] if several else [_draw_path(tuning, end) for end in (0, 1)],
+        _list_parameters(tuned, model),
     )  # fmt: skip
     costs = [_summarise_cost(candidate, findings, tuning) for candidate in findings.costs]
-    return TuneResult("tuned", tuning.why, _summarise_map(findings), costs, controller)
+    others = [
+        _summarise_map(
+            replace(findings, static_map=section, scale=scale, limits=tuned.limits[k]), k
+        )
+        for k, section in tuned.sections.items()
+        if k != tuned.knob
+        for scale in [tuned.rig.scales[k]]
+    ]
+    searched = _summarise_map(findings, tuned.knob)
+    return TuneResult("tuned", tuning.why, searched, costs, controller, others)
 
 
-def _summarise_map(findings: Findings) -> AmplitudeMap:
+def _summarise_map(findings: Findings, knob: int = 0) -> AmplitudeMap:
     maps, scale, limits = findings.static_map, findings.scale, findings.limits
     amplitude, valley = findings.dwells.amplitude, maps.valley()
     floor = math.log(amplitude.floor) if maps.sense > 0.0 else -math.inf
@@ -73,6 +85,7 @@ def _summarise_map(findings: Findings) -> AmplitudeMap:
         findings.growth,
         _list_points(scale, maps, 1.0),
         Points(*(values[::EVERY].tolist() for values in curve)),
+        knob,
     )
 
 
@@ -116,11 +129,11 @@ def _draw_band(rows: Sequence[NDArray[np.float64]]) -> Curves:
     return Curves(*np.percentile(rows, PERCENTILES, axis=0).tolist())
 
 
-def _list_parameters(tuning: Tuning, rig: RigFile, model: Path | None) -> list[ParameterResult]:
+def _list_parameters(tuned: KnobsTuning, model: Path | None) -> list[ParameterResult]:
     """Return each parameter that is not a default, with its unit and its reason."""
     return [
         ParameterResult(item.name, value, spec_of(item).unit, reason, node)
-        for node, parameters in list_parameters(tuning, rig, model).items()
+        for node, parameters in list_parameters(tuned, model).items()
         for item in parameters_of(KNOWN[node])
         if item.name in parameters
         for value, reason in [parameters[item.name]]

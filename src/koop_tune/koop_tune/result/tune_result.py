@@ -14,7 +14,7 @@ from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.static_map import Interval
 from koop_tune.folder import FIGURES
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.agreement import Aim
+from koop_tune.search.agreement import Aim, KnobAim
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.run import Constants
 from koop_tune.search.settings import CONVERGENCE
@@ -90,6 +90,8 @@ class AmplitudeMap:
         The oscillation's period, and the longest time that it was seen to grow [s].
     holds, curve : Points
         Amplitude at the holds, and the map that fits.
+    knob : int
+        Number of the knob over which it is; of several, a section through the best of all.
     """
 
     feature: str
@@ -104,6 +106,7 @@ class AmplitudeMap:
     growth: float
     holds: Points
     curve: Points
+    knob: int = 0
 
     @property
     def moved(self) -> str:
@@ -154,11 +157,13 @@ class TuneResult:
     verdict, why : str
         ``tuned``, or the kind of the refusal, and the reason; empty before a tuning.
     static_map : AmplitudeMap or None
-        None if nothing reacts to theta.
+        Of several knobs, of that which shows the optimum best; None if nothing reacts to theta.
     costs : list of CostResult
         Every candidate.
     controller : ControllerResult or None
         None if tuning was refused.
+    others : list of AmplitudeMap
+        Of the other knobs that have an effect.
     """
 
     verdict: str = ""
@@ -166,6 +171,13 @@ class TuneResult:
     static_map: AmplitudeMap | None = None
     costs: list[CostResult] = field(default_factory=list)
     controller: ControllerResult | None = None
+    others: list[AmplitudeMap] = field(default_factory=list)
+
+    @property
+    def maps(self) -> dict[int, AmplitudeMap]:
+        """The map over each knob that has an effect."""
+        maps = [] if self.static_map is None else [self.static_map, *self.others]
+        return {each.knob: each for each in sorted(maps, key=lambda each: each.knob)}
 
     @property
     def is_refused(self) -> bool:
@@ -187,6 +199,8 @@ class TuneResult:
     def make_aim(self, rig: RigFile) -> Aim:
         """Return the figures that a loop of the controller is compared with.
 
+        A knob without an effect may be anywhere.
+
         Raises
         ------
         koop_core.config.parameter.ConfigError
@@ -194,11 +208,16 @@ class TuneResult:
         """
         fit, controller = self.require_controller()
         best = rig.sense * fit.best
-        worst = float((rig.sense * np.log(fit.holds.level)).max())
+        levels = [level for each in self.maps.values() for level in each.holds.level]
+        worst = float((rig.sense * np.log(levels)).max())
+        knobs = [KnobAim(s, rest, (s.low, s.high))
+                 for s, rest in zip(rig.scales, rig.each("theta_start"), strict=True)]  # fmt: skip
+        for k, each in self.maps.items():
+            knobs[k] = KnobAim(rig.scales[k], each.theta_best, each.valley)
         return Aim(
-            fit.amplitude, fit.feature, rig.scale, rig.sense, fit.theta_best, fit.valley,
-            fit.best, fit.error, rig.sense * (best + CONVERGENCE.bound(worst - best)),
-            controller.time, fit.growth, controller.predicted,
+            fit.amplitude, fit.feature, tuple(knobs), rig.sense, fit.best, fit.error,
+            rig.sense * (best + CONVERGENCE.bound(worst - best)), controller.time, fit.growth,
+            controller.predicted,
         )  # fmt: skip
 
 

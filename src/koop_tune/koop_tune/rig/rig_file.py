@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from koop_core.config.describe import FIXED, WIDTH, allowed
 from koop_core.config.fields import Source, parse_source
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import (
     ConfigError,
     mapping,
@@ -62,10 +64,14 @@ class RigFile(RigLimits):
         return _full(parse_source(self.measured))
 
     @property
-    def command_source(self) -> Source:
-        """Topic, by its full name, and field of the command of a rig with one knob."""
-        (source,) = self.commands
-        return _full(source)
+    def command_sources(self) -> tuple[Source, ...]:
+        """Topics, by their full names, and fields of the command."""
+        return tuple(map(_full, self.commands))
+
+    @property
+    def command_topics(self) -> str:
+        """These topics in words."""
+        return " and ".join(source.topic for source in self.command_sources)
 
     @property
     def speaks_state(self) -> bool:
@@ -98,6 +104,24 @@ class RigFile(RigLimits):
         return Scale(self.theta_min, self.theta_max)
 
     @property
+    def scales(self) -> list[Scale]:
+        """Positions in the range of each knob."""
+        return list(map(Scale, self.each("theta_min"), self.each("theta_max")))
+
+    def u(self, theta: ArrayLike) -> NDArray[np.float64]:
+        """Return positions of the knobs, n in the last axis."""
+        each = np.moveaxis(np.asarray(theta, np.float64), -1, 0)
+        return np.stack([s.u(v) for s, v in zip(self.scales, each, strict=True)], axis=-1)
+
+    def theta_at(self, u: ArrayLike) -> tuple[float, ...]:
+        """Return theta of each knob at positions, shape (n,)."""
+        return tuple(map(Scale.theta_at, self.scales, np.asarray(u).tolist()))
+
+    def spell(self, name: str, spec: str = "g") -> str:
+        """Return a parameter of each knob in words."""
+        return format_knobs(self.each(name), spec)
+
+    @property
     def u_start(self) -> float:
         """Position of theta before any command."""
         return float(self.scale.u(np.array(self.theta_start)))
@@ -112,8 +136,8 @@ REQUIRED = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate",
             "theta_safe")  # fmt: skip
 
 
-def read(path: str | Path, several: bool = False) -> RigFile:
-    """Read a rig file, of a rig with one knob, or with ``several``.
+def read(path: str | Path) -> RigFile:
+    """Read a rig file.
 
     Raises
     ------
@@ -134,9 +158,7 @@ def read(path: str | Path, several: bool = False) -> RigFile:
         if missing:
             names = ", ".join(item.name for item in missing)
             raise ConfigError(f"these are missing: {names}; koop commission --new asks for each")
-        if (rig := RigFile(**values)).count > 1 and not several:
-            raise ConfigError(f"command has {rig.count} knobs: a rig with one can be commissioned")
-        return rig
+        return RigFile(**values)
     except ConfigError as error:
         text = str(error)
         words = re.match(r"(?:unknown key ')?(\w+)", text)

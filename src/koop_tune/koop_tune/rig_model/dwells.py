@@ -242,8 +242,6 @@ def find_holds(
     u, rests = leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
     before = [float(u[rests[0].level]), *(float(u[rest.level]) for rest in rests)]
     return [
-        Hold(
-            float(u[r.level]), int(np.sign(u[r.level] - b)), loaded.x[:, r.begin : r.end].T, r.begin
-        )
+        Hold(float(u[r.level]), int(np.sign(u[r.level] - b)), loaded.x[:, r.begin : r.end].T)
         for r, b in zip(rests, before, strict=False)
     ]

@@ -14,10 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.knobs import format_knobs
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.holds import mean_level
 from koop_tune.rig.scale import Scale
@@ -26,6 +28,24 @@ from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
 
 Array = NDArray[np.float64]
+
+
+class KnobAim(NamedTuple):
+    """What is expected of a knob: its best theta, and the valley around it.
+
+    Attributes
+    ----------
+    scale : Scale
+        Theta's range.
+    theta : float
+        The best theta.
+    valley : tuple of float
+        Thetas between which the map is within 1.5 of the best.
+    """
+
+    scale: Scale
+    theta: float
+    valley: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -38,14 +58,10 @@ class Aim:
         What is summed.
     name : str
         It in words.
-    scale : Scale
-        Theta's range.
+    knobs : tuple of KnobAim
+        Each knob.
     sense : float
         +1 if little is wanted, else -1.
-    theta : float
-        The best theta.
-    valley : tuple of float
-        Thetas between which the map is within 1.5 of the best.
     best, error, bound : float
         Logarithm of the best amplitude, by how much a better one may be, and that at which a loop
         counts as converged.
@@ -61,10 +77,8 @@ class Aim:
 
     amplitude: Amplitude
     name: str
-    scale: Scale
+    knobs: tuple[KnobAim, ...]
     sense: float
-    theta: float
-    valley: tuple[float, float]
     best: float
     error: float
     bound: float
@@ -73,6 +87,11 @@ class Aim:
     predicted: Prediction
     settings: VerificationSettings = VERIFICATION
     longer: float = 1.0
+
+    @property
+    def theta(self) -> str:
+        """The best theta of each knob, in words."""
+        return spell([knob.theta for knob in self.knobs])
 
     @property
     def window(self) -> float:
@@ -101,7 +120,7 @@ class Measured:
     time_to_converge : float or None
         [s]; None if never.
     distance : float
-        Mean of abs(u - u*) over the second half, in ranges of theta.
+        Mean of abs(u - u*) over the second half, in ranges of theta; of the knob with the largest.
     amplitude_before, amplitude : float
         Before the loop was closed, and over the second half.
     error, doubt : float
@@ -110,8 +129,8 @@ class Measured:
         Amplitude over the best one (its inverse where it is to be large).
     reduction : float
         Amplitude before over the amplitude in the second half (its inverse).
-    theta, low, high : float
-        Mean of theta over the second half, and its least and largest.
+    theta, low, high : tuple of float
+        Mean of theta of each knob over the second half, and its least and largest.
     broken : float
         Share of the second half in which a constraint was broken.
     """
@@ -124,15 +143,15 @@ class Measured:
     doubt: float
     excess: float
     reduction: float
-    theta: float
-    low: float
-    high: float
+    theta: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
     broken: float = 0.0
 
     @property
-    def swing(self) -> float:
-        """Range of theta over the second half."""
-        return self.high - self.low
+    def swing(self) -> tuple[float, ...]:
+        """Range of theta of each knob over the second half."""
+        return tuple(high - low for low, high in zip(self.low, self.high, strict=True))
 
 
 def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
@@ -146,12 +165,13 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
         Measured channels once the rig had settled where the loop began.
     x : ndarray, shape (M, n)
         Measured channels with the loop closed.
-    theta : ndarray, shape (K,)
-        Its theta, evenly over the same time.
+    theta : ndarray, shape (K,) or (K, n)
+        Its theta, of one knob or of n, evenly over the same time.
     """
+    paths = [np.ascontiguousarray(path[path.size // 2 :]) for path in np.atleast_2d(theta.T)]
     amplitude = aim.amplitude
     squares, first = (amplitude.squares(amplitude.windows.powers(part)) for part in (x, before))
-    late, path = squares[squares.size // 2 :], theta[theta.size // 2 :]
+    late = squares[squares.size // 2 :]
     level, error = mean_level(late, amplitude.floor)
     if late.size >= 4:
         (early, a), (last, b) = (mean_level(h, amplitude.floor) for h in np.array_split(late, 2))
@@ -162,19 +182,20 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     smooth = np.asarray(np.convolve(squares, np.ones(k) / k, "valid"), np.float64)
     inside = np.flatnonzero(aim.sense * (amplitude.log(smooth) - aim.bound) <= 0.0)
     errors = [min(value, aim.settings.unknown) for value in (error, error_before)]
-    u = aim.scale.u(path)
+    u = [knob.scale.u(path) for knob, path in zip(aim.knobs, paths, strict=True)]
+    best = [knob.scale.u(np.array(knob.theta)) for knob in aim.knobs]
     return Measured(
         (int(inside[0]) + k) * aim.window if inside.size else None,
-        float(np.abs(u - aim.scale.u(np.array(aim.theta))).mean()),
+        max(float(np.abs(each - at).mean()) for each, at in zip(u, best, strict=True)),
         math.exp(began),
         math.exp(level),
         math.hypot(*errors),
         errors[0],
         math.exp(aim.sense * (level - aim.best)),
         math.exp(aim.sense * (began - level)),
-        aim.scale.theta_at(float(u.mean())),
-        float(path.min()),
-        float(path.max()),
+        tuple(k.scale.theta_at(float(v.mean())) for k, v in zip(aim.knobs, u, strict=True)),
+        tuple(float(path.min()) for path in paths),
+        tuple(float(path.max()) for path in paths),
     )
 
 
@@ -214,7 +235,6 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     final = min(
         [aim.sense * aim.best] + [aim.sense * math.log(run.amplitude) + run.doubt for run in runs]
     )
-    slack = 0.02 * (aim.valley[1] - aim.valley[0])
     for run in runs:
         level = math.log(run.amplitude)
         worse = level + aim.sense * aim.settings.sure * (run.doubt + aim.error)
@@ -222,22 +242,23 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         excess = aim.amplitude.most(*ends)
         if math.isinf(excess):
             faults.append(
-                f"near theta = {run.theta:.4g} the background hides what is left: of an amplitude "
-                f"below {aim.amplitude.floor:.2g} nothing can be told"
+                f"near theta = {spell(run.theta)} the background hides what is left: of an "
+                f"amplitude below {aim.amplitude.floor:.2g} nothing can be told"
             )
         elif excess > good:
             faults.append(
-                f"near theta = {run.theta:.4g} the amplitude may be {excess:.3g} times the best of "
-                f"the final map, {good:g} is the most"
+                f"near theta = {spell(run.theta)} the amplitude may be {excess:.3g} times the best "
+                f"of the final map, {good:g} is the most"
             )
-        elif run.low < aim.valley[0] - slack or run.high > aim.valley[1] + slack:
+        elif not all(map(_is_inside, aim.knobs, run.low, run.high)):
+            low, high = (spell([knob.valley[end] for knob in aim.knobs]) for end in (0, 1))
             faults.append(
-                f"theta swings from {run.low:.4g} to {run.high:.4g}, the valley reaches from "
-                f"{aim.valley[0]:.4g} to {aim.valley[1]:.4g}"
+                f"theta swings from {spell(run.low)} to {spell(run.high)}, the valley reaches from "
+                f"{low} to {high}"
             )
     faults += [
-        f"near theta = {run.theta:.4g} the constraint is broken for {100.0 * run.broken:.2g} % of "
-        f"the time, {100.0 * aim.settings.broken:g} % is the most"
+        f"near theta = {spell(run.theta)} the constraint is broken for {100.0 * run.broken:.2g} % "
+        f"of the time, {100.0 * aim.settings.broken:g} % is the most"
         for run in runs if run.broken > aim.settings.broken
     ]  # fmt: skip
     gains = [math.log(run.reduction) - aim.settings.errors * run.error for run in runs]
@@ -250,8 +271,19 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     return faults
 
 
+def _is_inside(knob: KnobAim, low: float, high: float) -> bool:
+    """Return whether a knob swings in its valley, or hardly beyond."""
+    slack = 0.02 * (knob.valley[1] - knob.valley[0])
+    return knob.valley[0] - slack <= low and high <= knob.valley[1] + slack
+
+
+def spell(theta: Sequence[float]) -> str:
+    """Return theta of each knob in words."""
+    return format_knobs(theta, ".4g")
+
+
 def verdict(
-    aim: Aim, runs: Sequence[Measured], starts: Sequence[float], rounds: int, where: str
+    aim: Aim, runs: Sequence[Measured], starts: Sequence[Sequence[float]], rounds: int, where: str
 ) -> str:
     """Return the verdict of a verification in words.
 
@@ -261,7 +293,7 @@ def verdict(
         What was predicted.
     runs : sequence of Measured
         Runs of the last round.
-    starts : sequence of float
+    starts : sequence of sequence of float
         Theta at which each began.
     rounds : int
         How many rounds there were.
@@ -275,7 +307,7 @@ def verdict(
     if faults:
         last = (
             f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; leave "
-            f"theta at {aim.theta:.4g}, the best of the map, or set theta_min and theta_max closer "
+            f"theta at {aim.theta}, the best of the map, or set theta_min and theta_max closer "
             "around it, or a longer 'time', and choose another --out"
         )
     elif worse:
@@ -291,7 +323,7 @@ def verdict(
     return " ".join([*lines, last + "."])
 
 
-def describe_run(aim: Aim, run: Measured, start: float, name: str = "") -> str:
+def describe_run(aim: Aim, run: Measured, start: Sequence[float], name: str = "") -> str:
     """Return what a loop did to the amplitude, whose name may follow, in a sentence."""
     change, doubt = math.log(run.reduction), aim.settings.errors * run.error
     if abs(change) <= doubt:
@@ -302,6 +334,6 @@ def describe_run(aim: Aim, run: Measured, start: float, name: str = "") -> str:
     took = run.time_to_converge
     when = "never near the best" if took is None else f"near the best within {took:.3g} s"
     return (
-        f"From theta = {start:.4g} the loop comes to {run.theta:.4g}, {when}; the amplitude{name} "
-        f"{how} and is {run.excess:.3g} times the best of the map."
+        f"From theta = {spell(start)} the loop comes to {spell(run.theta)}, {when}; the "
+        f"amplitude{name} {how} and is {run.excess:.3g} times the best of the map."
     )

@@ -27,10 +27,11 @@ from koop_tune.search.settings import TUNING, TuningSettings
 class NoOptimum(InputError):
     """There is no optimum to seek: ``kind`` is monotone, flat, drowned or undamped."""
 
-    def __init__(self, kind: str, message: str, findings: Findings | None = None) -> None:
+    def __init__(
+        self, kind: str, message: str, findings: Findings | None = None, knob: int = 0
+    ) -> None:
         super().__init__(message)
-        self.kind = kind
-        self.findings = findings
+        self.kind, self.findings, self.knob = kind, findings, knob
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ class Band:
         >>> Band(10.0, 20.0, math.inf).as_text()
         '20 (10 to never)'
         """
+        if self.low == 0.0 and math.isinf(self.high):
+            return "not predicted"
         low, middle, high = (
             "never" if math.isinf(value) else f"{unit * value:.3g}"
             for value in (self.low, self.middle, self.high)

@@ -21,8 +21,8 @@ class LoopRun:
 
     Attributes
     ----------
-    start : float
-        Theta at which the loop was closed.
+    start : tuple of float
+        Theta of each knob at which the loop was closed.
     measured : Measured
         The figures.
     bag : str
@@ -33,7 +33,7 @@ class LoopRun:
         First and last step with the loop closed.
     """
 
-    start: float
+    start: tuple[float, ...]
     measured: Measured
     bag: str = ""
     seconds: float = 0.0

@@ -27,6 +27,10 @@ from koop_tune.search.task import make_task
 Report = Callable[[str, float], None]
 
 
+def no_report(step: str, share: float) -> None:
+    """Take no notice."""
+
+
 @dataclass(frozen=True)
 class SearchedCost:
     """A cost with its best constants.
@@ -109,7 +113,7 @@ def tune(
     training: BagTraining,
     amplitude: Amplitude | None = None,
     settings: TuningSettings = TUNING,
-    report: Report = lambda step, share: None,
+    report: Report = no_report,
     safe: SafeRange | None = None,
 ) -> Tuning:
     """Choose the cost and all constants of a controller.

@@ -1,9 +1,10 @@
-"""A controller of several knobs, from the sections of their static map through the best.
+"""A controller of all knobs, from the sections of their static map through the best.
 
-The search is that of one knob, on the section that shows the optimum best. The others follow from
-their limits: in units of the way between its limits each section rises alike, to the same factor of
-the best at both of them, so all knobs cross that way in the same time. The controller seeks along
-one direction after another (:mod:`relay_esc.directions`), so it takes as many times as long.
+A rig with one knob has one section. With several, the search is that of one knob, on the section
+that shows the optimum best. The others follow from their limits: in units of the way between its
+limits each section rises alike, to the same factor of the best at both of them, so all knobs cross
+that way in the same time. The controller seeks along one direction after another
+(:mod:`relay_esc.directions`), so it takes as many times as long.
 """
 
 from __future__ import annotations
@@ -21,18 +22,17 @@ from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.knobs_design import KNOBS
+from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.excitation.static_map import StaticMap
-from koop_tune.result.summary import summarise
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Dwells, find_dwells
 from koop_tune.rig_model.surrogate import high_pass
-from koop_tune.search.agreement import Aim
 from koop_tune.search.findings import CostMaps, NoOptimum
 from koop_tune.search.limits import ThetaLimits, limit_theta
 from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.run import make_esc, round_digits
 from koop_tune.search.settings import TUNING, TuningSettings
-from koop_tune.search.tuning import Tuning, tune
+from koop_tune.search.tuning import Report, Tuning, no_report, tune
 from relay_esc.config import EscConfig
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class KnobsTuning:
-    """A controller of several knobs.
+    """A controller of one knob or several.
 
     Attributes
     ----------
@@ -65,33 +65,33 @@ class KnobsTuning:
     limits: list[ThetaLimits]
     esc: EscConfig
 
+    @classmethod
+    def of_one(cls, rig: RigFile, tuning: Tuning) -> KnobsTuning:
+        """Return that of a rig with one knob."""
+        findings = tuning.findings
+        esc = make_esc(tuning.task, tuning.best.constants, rig.theta_safe)
+        return cls(rig, 0, tuning, {0: findings.static_map}, [findings.limits], esc)
+
     @property
     def useless(self) -> list[str]:
         """Names of the knobs that have no effect; they rest."""
         names = enumerate(self.rig.knob_names)
         return [name for k, name in names if k not in self.sections]
 
-    def make_aims(self) -> dict[int, Aim]:
-        """Return, for each knob with an effect, the figures that a loop is compared with.
+    @property
+    def prediction(self) -> Prediction:
+        """Figures of the loop.
 
         One direction after another is sought along: all takes as many times as long, and what each
-        adds to the amplitude adds up. From inside the limits no reduction is predicted.
+        adds to the amplitude adds up. What the other knobs reduce is not predicted.
         """
-        own = self.rig.knob(self.knob)
-        aim, n = summarise(self.tuning, own, None).make_aim(own), len(self.sections)
-        p = aim.predicted
-        predicted = Prediction(
+        p, n = self.tuning.prediction, len(self.sections)
+        if self.rig.count == 1:
+            return p
+        return Prediction(
             _scaled(p.converges, n), p.distance, _power(p.excess, n), Band(0.0, 1.0, math.inf),
             n * p.duration, p.runs,
         )  # fmt: skip
-        aims = {}
-        for k, section in self.sections.items():
-            scale, valley, limits = self.rig.knob(k).scale, section.valley(), self.limits[k]
-            low, high = scale.theta_at(valley.low), scale.theta_at(valley.high)
-            inside = (min(low, limits.low), max(high, limits.high))
-            theta = scale.theta_at(section.best())
-            aims[k] = replace(aim, scale=scale, theta=theta, valley=inside, predicted=predicted)
-        return aims
 
 
 def _scaled(band: Band, factor: float) -> Band:
@@ -104,19 +104,20 @@ def _power(band: Band, n: int) -> Band:
 
 def tune_knobs(
     loaded: Loaded, rig: RigFile, lines: Mapping[int, Array], training: BagTraining,
-    amplitude: Amplitude, settings: TuningSettings = TUNING,
+    amplitude: Amplitude | None, settings: TuningSettings = TUNING, report: Report = no_report,
+    safe: SafeRange | None = None,
 ) -> KnobsTuning:  # fmt: skip
-    """Choose the cost and all constants of a controller with several knobs.
+    """Choose the cost and all constants of a controller.
 
     Parameters
     ----------
     loaded : Loaded
-        The excitation; its theta has the shape (M, n).
+        The excitation; of n > 1 knobs its theta has the shape (M, n).
     rig : RigFile
         Limits, rates, objective, dt.
     lines : mapping of int to ndarray, shape (n,)
-        A position of the section of each knob that has an effect.
-    training, amplitude, settings
+        With several knobs, a position of the section of each that has an effect.
+    training, amplitude, settings, report, safe
         As of :func:`koop_tune.search.tuning.tune`.
 
     Raises
@@ -124,11 +125,21 @@ def tune_knobs(
     NoOptimum
         If there is no optimum to seek, or the cost does not lead to that of a knob.
     """
+    if rig.count == 1:
+        tuning = tune(loaded, rig, training, amplitude, settings, report, safe)
+        return KnobsTuning.of_one(rig, tuning)
+    if amplitude is None or not lines:
+        raise NoOptimum("flat", "no section of the map over any knob is known: record with "
+                        "'koop excite', until it says that the map is known")  # fmt: skip
     parts = {k: cut_section(loaded, rig, k, line) for k, line in lines.items()}
     dwells = {k: find_dwells(part, rig.knob(k).scale, amplitude) for k, part in parts.items()}
     sections = {k: d.static_map(d.logs, rig.sense) for k, d in dwells.items()}
     knob = max(sections, key=lambda k: sections[k].evidence)
-    tuning = tune(parts[knob], rig.knob(knob), training, amplitude, settings)
+    try:
+        tuning = tune(parts[knob], rig.knob(knob), training, amplitude, settings, report)
+    except NoOptimum as no:
+        text = f"over {rig.knob_names[knob]}, which shows the optimum best, {no}"
+        raise NoOptimum(no.kind, text, no.findings, knob) from None
     for k in sections:
         if k != knob:
             _refuse_astray(tuning, parts[k], dwells[k], sections[k], rig.knob_names[k], settings)
