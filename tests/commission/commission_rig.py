@@ -1,12 +1,17 @@
 """A rig for commissioning: fast, unstamped, with one knob, or two."""
 
+import functools
 import math
 import random
 import threading
 import time
 from dataclasses import replace
 
+import numpy as np
+
 from koop_tune.rig.rig_file import RigFile
+from vdp_plant import dynamics
+from vdp_plant.config import PlantConfig
 
 DT = 0.004
 OMEGA = 2.0 * math.pi * 20.0
@@ -36,7 +41,97 @@ TWO_KNOBS = replace(
 )
 
 
-class FastRig:
+PAPER = RigFile(
+    measured="/paper:position[0],position[1]",
+    command="/paper/first:data,/paper/second:data",
+    dt=0.9,
+    theta_min=(-4.9, -0.6),
+    theta_max=(-1.5, 2.4),
+    theta_rate=1.0,
+    theta_start=(-1.6, -0.5),
+    theta_safe=(-2.0, 0.0),
+    time=1e6,
+    pace=540.0,
+)
+SUBSTEPS, LATE = 30, 0.5  # of a sample; [s] that it makes up for
+PLANT = PlantConfig(
+    dt=PAPER.dt / SUBSTEPS, theta_star=(-3.0, 1.0), coupling=(0.8, 0.6, -0.3, 0.4),
+    epsilon0=0.4, epsilon0_drift=0.0, interference_amplitude_1=0.0, interference_amplitude_2=0.0,
+)  # fmt: skip
+
+
+class Rig:
+    """A node in a thread of its own."""
+
+    def __init__(self, name):
+        import rclpy
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        from koop_node.node.entities import WithoutEvents
+
+        self._context = rclpy.Context()
+        self._context.init(args=[])
+        self._node = WithoutEvents(name, context=self._context)
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def close(self):
+        self._over.set()
+        self._thread.join()
+        self._executor.remove_node(self._node)
+        self._node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+
+class PaperRig(Rig):
+    """The paper's plant with two knobs behind standard messages, faster than real time.
+
+    It waits for the answer to each sample, though not for long, and not where nobody commands: a
+    busy machine makes it slow, not another rig. It is stamped by its own clock. Less damping makes
+    it settle soon, and without drift and interference short holds do.
+    """
+
+    def __init__(self):
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64
+
+        super().__init__("paper_rig")
+        self.theta, self._heard = np.array(PAPER.theta_start), 0.0
+        self._publisher = self._node.create_publisher(JointState, "/paper", 100)
+        for knob, topic in enumerate(("/paper/first", "/paper/second")):
+            hear = functools.partial(self._on_command, knob)
+            self._node.create_subscription(Float64, topic, hear, 10)
+        self._thread.start()
+
+    def _on_command(self, knob, message):
+        self.theta[knob], self._heard = message.data, time.monotonic()
+
+    def _run(self):
+        from sensor_msgs.msg import JointState
+
+        params, knobs = PLANT.params(), PLANT.knob_params()
+        x, y, applied, message = 4.0, 0.0, self.theta.copy(), JointState()
+        k, period, due, said = 0, PAPER.dt / PAPER.pace, time.monotonic(), 0.0
+        while not self._over.is_set():
+            now = time.monotonic()
+            if now < due or (self._heard < said and now < min(said, self._heard + 1.0) + PATIENCE):
+                self._executor.spin_once(timeout_sec=0.001)
+                continue
+            due = max(due + period, now - LATE)  # a busy machine slows it
+            for _ in range(SUBSTEPS):
+                x, y = dynamics.advance_knobs(params, knobs, k, x, y, applied, self.theta)
+                k += 1
+            stamp = message.header.stamp
+            stamp.sec, stamp.nanosec = divmod(round(k * PLANT.dt * 1e9), 10**9)
+            message.position = dynamics.measure(params, k, x, y)
+            said = time.monotonic()
+            self._publisher.publish(message)
+
+
+class FastRig(Rig):
     """Oscillates at 20 Hz; its amplitude follows 0.3 + (theta - 0.8)^2 within 0.1 s.
 
     With a second knob a^2 + a b + b^2 takes the place of a^2 = (theta - 0.8)^2, where b is ten
@@ -72,12 +167,9 @@ class FastRig:
     """
 
     def __init__(self, two_knobs=False):
-        import rclpy
-        from rclpy.experimental.events_executor import EventsExecutor
         from std_msgs.msg import Float64, Float64MultiArray
 
-        from koop_node.node.entities import WithoutEvents
-
+        super().__init__("fast_rig")
         self.theta, self.moved = RIG.theta_start, []
         self.second: float | None = None
         self.size, self.pairs = 1.0, []
@@ -87,11 +179,6 @@ class FastRig:
         self.not_finite = False
         self.worn, self.louder = 0.0, 1.0
         self.time_out: float | None = None
-        self._context = rclpy.Context()
-        self._context.init(args=[])
-        self._node = WithoutEvents("fast_rig", context=self._context)
-        self._executor = EventsExecutor(context=self._context)
-        self._executor.add_node(self._node)
         self._message = Float64MultiArray()
         self._publisher = self._node.create_publisher(Float64MultiArray, "/fast", 100)
         self._effort = self._node.create_publisher(Float64, "/fast/effort", 100)
@@ -100,17 +187,7 @@ class FastRig:
             self.second = TWO_KNOBS.theta_start[1]
             kind, topic = Float64MultiArray, "/fast/second"
             self._node.create_subscription(kind, topic, self._on_second, 10)
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run)
         self._thread.start()
-
-    def close(self):
-        self._over.set()
-        self._thread.join()
-        self._executor.remove_node(self._node)
-        self._node.destroy_node()
-        self._executor.shutdown()
-        self._context.try_shutdown()
 
     def _on_command(self, message):
         self.theta = message.data

@@ -1,0 +1,52 @@
+"""A rig with two knobs, from its rig file to the verdict."""
+
+import numpy as np
+import pytest
+from commission_rig import PAPER, PLANT, PaperRig
+
+from koop_tune.excitation import progress
+from koop_tune.rig import rig_file
+from koop_tune.search.rounds import load_verification
+
+pytestmark = pytest.mark.ros
+TIMEOUT = 300.0
+
+
+@pytest.fixture
+def paper_rig(own_domain):
+    rig = PaperRig()
+    yield rig
+    rig.close()
+
+
+def amplitude(theta):
+    """Return the amplitude of the paper's limit cycle over the best one."""
+    coupling = np.array(PLANT.coupling).reshape(2, 2)
+    return np.hypot(1.0, np.linalg.norm(coupling @ (theta - np.array(PLANT.theta_star))))
+
+
+def test_two_coupled_knobs_are_commissioned_from_rig_file_to_verdict(paper_rig, koop, tmp_path):
+    rig_file.write(PAPER, tmp_path / "rig.yaml")
+    stages = ("check", "excite --out run", "tune run --effort 0.02", "verify run")
+    for stage, *others in map(str.split, stages):
+        process = koop(stage, "rig.yaml", *others)
+        out, error = process.communicate(timeout=TIMEOUT)
+        assert process.returncode == 0, out + error
+    assert "The rig is damped" in out
+    assert paper_rig.theta.tolist() == list(PAPER.theta_safe)
+    state = progress.load(PAPER, tmp_path / "run")
+    held = [amplitude(hold.theta) for hold in state.holds]
+    levels = np.exp([hold.level for hold in state.holds])
+    best = int(np.argmin(levels))
+    assert held[best] < 1.1
+    near = np.array(held) < 3.0
+    assert (levels / levels[best])[near] == pytest.approx(
+        np.array(held)[near] / held[best], rel=0.2
+    )
+    (last,) = load_verification(tmp_path / "run").rounds
+    starts = [run.start for run in last.runs]
+    assert np.add(*starts) == pytest.approx(np.add(PAPER.theta_min, PAPER.theta_max))  # opposite
+    corners = [amplitude((a, b)) for a in (-4.9, -1.5) for b in (-0.6, 2.4)]
+    assert amplitude(starts[1]) == pytest.approx(max(corners))
+    for run in last.runs:
+        assert amplitude(run.measured.theta) < 1.5
