@@ -21,6 +21,7 @@ from relay_esc import stage as controller_stage
 from relay_esc.node import EscNode
 from relay_esc.stage import ControllerProgress, ControllerStage
 from vdp_plant import stage as plant_stage
+from vdp_plant.config import PaceConfig
 from vdp_plant.node import PlantNode
 from vdp_plant.stage import PlantProgress, PlantStage
 
@@ -66,6 +67,7 @@ class LockstepLoop:
 
     def __init__(self, *nodes: ManagedNode[Any]) -> None:
         self._nodes = nodes
+        self._rehearsed = False
 
     def __call__(self) -> None:
         """Run the loop as far as it goes without Python.
@@ -74,12 +76,16 @@ class LockstepLoop:
         """
         runs, stages, progress = [], [], []
         for node in self._nodes:
-            lent = node.run and node.run.lend()
+            lent = node.run and node.run.lend(not self._rehearsed)
             if node.run is None or lent is None:
                 return
             runs.append(node.run)
             stages.append(lent[0])
             progress.append(lent[1])
+        if not self._rehearsed:  # compiled before the first state: it takes seconds
+            run(0, *stages, *progress)
+            self._rehearsed = True
+            return
         outcome = run(MOST, *stages, *progress)
         for each, before, after in zip(runs, progress, outcome[2:], strict=True):
             each.take_back(before, after)
@@ -89,7 +95,7 @@ class LockstepLoop:
 
 
 def find(nodes: Sequence[ManagedNode[Any]]) -> list[LockstepLoop]:
-    """Return the loops that nodes of one process make up, one a namespace."""
+    """Return the loops in lockstep that nodes of one process make up, one a namespace."""
     loops = []
     for namespace in dict.fromkeys(node.get_namespace() for node in nodes):
         there = [
@@ -97,5 +103,7 @@ def find(nodes: Sequence[ManagedNode[Any]]) -> list[LockstepLoop]:
             for kind in (LifterNode, EscNode, PlantNode)
         ]
         if all(len(found) == 1 for found in there):
-            loops.append(LockstepLoop(*(found[0] for found in there)))
+            lifter, controller, plant = (found[0] for found in there)
+            if plant.parameters[PaceConfig].pace == "lockstep":
+                loops.append(LockstepLoop(lifter, controller, plant))
     return loops

@@ -58,6 +58,13 @@ class Port(NamedTuple):
     at: NDArray[np.int64]
 
 
+NO_PORT = Port(
+    0, 0, np.zeros(8, np.int64), np.zeros(1, np.int64), np.zeros(1, np.uint8),
+    np.zeros((1, 2), np.int64), 0, np.zeros(1, np.int64),
+)  # fmt: skip
+"""What compiled code is compiled with before there is a subscription."""
+
+
 @njit()
 def receive(port: Port) -> int:
     """Take a message: return IDLE, PLAIN or OTHER; what is OTHER is in the memory, too."""

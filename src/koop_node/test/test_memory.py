@@ -112,8 +112,9 @@ def test_what_is_laid_out_otherwise_torn_or_too_large_is_pythons(ends):
     odd = [
         b"", b"\0", LITTLE, plain[:-1], plain[:20],
         b"\0\0" + plain[2:], serialize_message(state(frame_id="other")),
-        serialize_message(state(x=())), serialize_message(state(x=[1.0] * CAPACITY)),
+        serialize_message(state(x=())),
     ]  # fmt: skip
+    odd += [serialize_message(state(x=[1.0] * n)) for n in (600, 900, CAPACITY)]  # grow in place
     odd += [draw.randbytes(draw.randrange(3 * len(plain))) for _ in range(300)]
     for data in odd:
         # anew: the memory may lie elsewhere after a message that did not fit

@@ -17,7 +17,7 @@ from koop_core.config.constraint import Constraint
 from koop_core.config.fields import Source, check_fields, read_field
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
-from koop_core.port import OTHER
+from koop_core.port import NO_PORT, OTHER
 from koop_core.stream.arrival import Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.adapter import StateAdapter
@@ -266,20 +266,22 @@ class LifterRun(Run):
 
     # -- compiled -----------------------------------------------------------------------------
 
-    def lend(self) -> tuple[LifterStage, LifterProgress] | None:
+    def lend(self, rehearsal: bool) -> tuple[LifterStage, LifterProgress] | None:
         """Return what :func:`koopman_lifter.stage.answer_next` needs; None: it cannot go on."""
         reader, writer, answer = self._reader, self._publisher, self._answer
         joined = self._input.steady and not (self._state.settling or self._filling())
-        if reader is None or writer is None or self._signal is not None or not joined:
+        source = target = NO_PORT
+        if reader is not None and writer is not None and self._signal is None and joined:
+            state = codec(MeasuredState).new()
+            state.header, state.x = answer.header, [0.0] * self._n
+            source, target = reader.port(state, STATE), writer.port(answer, COST)
+        elif not rehearsal:
             return None
         self._change = self._watch.settle() or self._change
         looks, ear, threshold, spectrum, tally = self._watch.lend()
-        state = codec(MeasuredState).new()
-        state.header, state.x = answer.header, [0.0] * self._n
         stage = LifterStage(
-            reader.port(state, STATE), writer.port(answer, COST), self._source,
-            self._loaded.lifting, self._detector, self._loaded.work, np.zeros(self._n),
-            np.zeros(self._watch.channels), looks, ear, threshold, spectrum,
+            source, target, self._source, self._loaded.lifting, self._detector, self._loaded.work,
+            np.zeros(self._n), np.zeros(self._watch.channels), looks, ear, threshold, spectrum,
         )  # fmt: skip
         return stage, LifterProgress(answer.step, self._state, tally)
 

@@ -18,7 +18,7 @@ from koop_core.config.fields import Source, check_fields, parse_source, write_fi
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
-from koop_core.port import OTHER
+from koop_core.port import NO_PORT, OTHER
 from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT, Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.entities import Input, Writer
@@ -208,21 +208,21 @@ class EscRun(Run):
 
     # -- compiled -----------------------------------------------------------------------------
 
-    def lend(self) -> tuple[ControllerStage, ControllerProgress] | None:
+    def lend(self, rehearsal: bool) -> tuple[ControllerStage, ControllerProgress] | None:
         """Return what :func:`relay_esc.stage.answer_next` needs; None where it cannot go on."""
-        reader, writer, origin = self._reader, self._publisher, self._origin
-        if reader is None or writer is None or origin is None or not self._input.steady:
+        reader, writer, level = self._reader, self._publisher, self._level
+        plain = self._command is None and not self._several and self._input.steady
+        source, model_id = self._origin or (0, "")
+        taken = given = NO_PORT
+        if reader is not None and writer is not None and plain:
+            cost = codec(Cost).new()
+            cost.header, cost.model_id = self._answer.header, model_id
+            taken, given = reader.port(cost, COST), writer.port(self._answer, THETA)
+        elif not rehearsal:
             return None
-        if self._several or self._command is not None:
-            return None
-        cost = codec(Cost).new()
-        source, cost.model_id = origin
-        cost.header = self._answer.header
-        level = self._level
         stage = ControllerStage(
-            reader.port(cost, COST), writer.port(self._answer, THETA), self._input.dt, source,
-            np.frombuffer(cost.model_id.encode(), np.uint8), self._params, self._bound,
-            self._hold_asked, level.window - 1,
+            taken, given, self._input.dt, source, np.frombuffer(model_id.encode(), np.uint8),
+            self._params, self._bound, self._hold_asked, level.window - 1,
         )  # fmt: skip
         step = self._answer.step
         return stage, ControllerProgress(step, self._state, self._barrier, level.sum, level.count)

@@ -76,11 +76,12 @@ class Run:
         """Return level, message and values for /diagnostics, besides what the inputs say."""
         return OK, "", {}
 
-    def lend(self) -> tuple[Any, Any] | None:
+    def lend(self, rehearsal: bool) -> tuple[Any, Any] | None:
         """Return what compiled code needs to go on with the node's messages; None: it cannot.
 
         That is what stays the same, and what changes. Such code takes the messages that follow on
-        the last one, each on the one before, and answers them as the node would.
+        the last one, each on the one before, and answers them as the node would. For a rehearsal,
+        which takes none, the types count.
         """
         return None
 

@@ -41,7 +41,8 @@ class Memory:
 
     def read(self) -> bytes:
         """Return the message that was taken last."""
-        if self.message[0] != self.data.ctypes.data:  # it did not fit: rcl took more
+        address, _, capacity = self.message[:3].tolist()
+        if (address, capacity) != (self.data.ctypes.data, self.data.size):  # it did not fit
             self._watch()
         return self.data[: self.message[1]].tobytes()
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from koop_msgs.msg import ControlInput
 
-from koop_core.port import OTHER
+from koop_core.port import NO_PORT, OTHER
 from koop_core.stream.resend import Due, Resend
 from koop_node.node.managed import ERROR, OK, Entities, ManagedNode
 from koop_node.node.wire import codec
@@ -109,21 +109,21 @@ class LockstepRun(PlantRun):
 
     # -- compiled -----------------------------------------------------------------------------
 
-    def lend(self) -> tuple[PlantStage, PlantProgress] | None:
+    def lend(self, rehearsal: bool) -> tuple[PlantStage, PlantProgress] | None:
         """Return what :func:`vdp_plant.stage.step_next` needs; None where it cannot go on."""
         reader, outlets, question = self._reader, self._outlets, self._question
-        if reader is None or outlets is None or outlets.clock is not None:
+        plain = question.open and not question.overdue and self._node.exit_code is None
+        plain = plain and len(self._theta) == 1 and self._input.steady
+        taken = state = truth = NO_PORT
+        if reader is not None and outlets is not None and outlets.clock is None and plain:
+            theta = codec(ControlInput).new()
+            theta.header, theta.theta = self._state_message.header, [0.0]
+            taken = reader.port(theta, THETA)
+            state = outlets.state.port(self._state_message, STATE)
+            truth = outlets.ground_truth.port(self._ground_truth_message, GROUND_TRUTH)
+        elif not rehearsal:
             return None
-        going = question.open and not question.overdue and self._node.exit_code is None
-        if not going or len(self._theta) > 1 or not self._input.steady:
-            return None
-        theta = codec(ControlInput).new()
-        theta.header, theta.theta = self._state_message.header, [0.0]
-        stage = PlantStage(
-            reader.port(theta, THETA), outlets.state.port(self._state_message, STATE),
-            outlets.ground_truth.port(self._ground_truth_message, GROUND_TRUTH), self._params,
-            float(self._steps),
-        )  # fmt: skip
+        stage = PlantStage(taken, state, truth, self._params, float(self._steps))
         return stage, PlantProgress(
             self._k, self._x, self._y, self._theta[0], self._theta_applied[0]
         )
