@@ -18,7 +18,7 @@ REFERENCE = runpy.run_path(str(ROOT / "scripts" / "reference.py"))
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "recordings/README.md"])
 HISTORY = {"decisions", "CHANGELOG.md"}  # name what was, too
 OF_THE_SCRIPT = {"test", "run", "shell", "docs", "setup"}
-MOST = {"commands": 30, "options": 140, "parameters": 36}
+MOST = {"commands": 30, "options": 140, "parameters": 35}
 MOST_LINES = {"docs": 1600, "README.md": 120}
 WIDTH = 100
 

@@ -79,7 +79,7 @@ CONSTANTS = {
     "relay_esc": {
         "law": "adaptive", "step_size": 0.008, "step_ratio": 0.1, "dwell": 0.2,
         "tau_f": 0.2, "theta_min": -1.0, "theta_max": 2.0, "rate_limit": 4.0,
-        "theta_initial": 1.5, "command": "/fast/knob:data",
+        "theta_initial": 1.5,
     },
 }  # fmt: skip
 

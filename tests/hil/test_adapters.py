@@ -10,7 +10,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from koop_core.config.fields import check_fields, parse_source, read_field
+from koop_core.config.fields import check_fields, parse_source
 from koop_core.config.parameter import ConfigError
 from koop_node.node.managed import message_type
 from koopman_lifter.config import LifterConfig
@@ -83,27 +83,6 @@ def start_reference(start, probe, states):
         publisher.publish(state)
     probe.spin_until(lambda: len(answers) == 5, "the reference")
     return answers
-
-
-@pytest.mark.parametrize(
-    ("kind", "field"),
-    [
-        ("std_msgs/msg/Float64", "data"),
-        ("std_msgs/msg/Float64MultiArray", "data[1]"),
-        ("koop_msgs/msg/ControlInput", "theta[0]"),
-    ],
-)
-def test_the_controller_also_speaks_what_the_rig_takes(start, probe, kind, field):
-    start("relay_esc", command=f"/rig/theta:{field}")
-    message = message_type(kind)
-    numbers = probe.collect(message, "/rig/theta")  # nobody listens to 'theta'
-    cost = probe.publisher(Cost, "cost")
-    for k in range(3):
-        cost.publish(Cost(step=k, r=1.0 - 0.1 * k, dt=0.005))
-    probe.spin_until(lambda: len(numbers) == 3, "the numbers")
-    (path,) = parse_source(f"/a:{field}").fields
-    said = [read_field(path, number) for number in numbers]
-    assert said == pytest.approx([2.0, 2.0 - 1 / 3000, 2.0 - 2 / 3000])
 
 
 def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start, probe):

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from koop_msgs.msg import ControlInput
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import Float64
@@ -54,11 +55,8 @@ def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
         "koopman_lifter", measured="/pressure:data", model=model, dt=DT,
         omega_l=0.6,
     )  # fmt: skip
-    start(
-        "relay_esc", command="/knob:data", theta_initial=-1.0, step_size=DT / 15.0,
-        tau_f=3.0,
-    )  # fmt: skip
-    turned = probe.collect(Float64, "/knob")
+    start("relay_esc", theta_initial=-1.0, step_size=DT / 15.0, tau_f=3.0)
+    turned = probe.collect(ControlInput, "theta")
     sensor = probe.publisher(Float64, "/pressure")
     params, steps = PLANT.params(), round(120.0 / DT)
     x, y = dynamics.initial_state(3)
@@ -77,7 +75,7 @@ def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
         heard = len(turned)
         sensor.publish(Float64(data=dynamics.measure(params, k, x, y)[0]))
         probe.spin_until(lambda n=heard: len(turned) > n, f"an answer to sample {k}")
-        theta[k] = turned[-1].data
+        (theta[k],) = turned[-1].theta
         x, y, applied = dynamics.advance(params, k, x, y, applied, theta[k], 0.0)
     error = np.abs(theta[-round(WATCHED / DT) :] - PLANT.theta_star)
     assert error.mean() < 0.8  # it began 2 from the optimum

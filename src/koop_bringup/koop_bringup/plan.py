@@ -238,7 +238,7 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         assert file is not None
         loop = file.path.with_name(file.path.name + namespace.replace("/", "-"))
         values["koop_guard"].setdefault("note", str(note_of(loop).resolve()))
-        values["relay_esc"] |= {"command": "", "listeners": "koop_guard"}
+        values["relay_esc"]["listeners"] = "koop_guard"
     configs = _check(values, classes)
     guard = configs["koop_guard"][GuardConfig] if guarded else None
     if guard is not None:

@@ -87,14 +87,13 @@ def test_the_nodes_wait_for_the_recorder_that_there_is(mine, arguments, listener
 )
 def test_a_guard_alone_commands_the_rig(mine, command, remaps):
     file = mine(
-        "relay_esc: {ros__parameters: {command: '/rig/theta:data', theta_max: 3.0}}\n"
+        "relay_esc: {ros__parameters: {theta_max: 3.0}}\n"
         f"koop_guard: {{ros__parameters: {{command: '{command}', theta_rate: 0.5}}}}\n"
     )
     planned = plan({**file, "record": "true"})
     assert names(planned) == ["recorder", "koop_guard", "relay_esc", "koopman_lifter"]
     assert planned.remaps == remaps
-    given = planned.parameters["relay_esc"]
-    assert (given["command"], given["listeners"]) == ("", "koop_guard")
+    assert planned.parameters["relay_esc"]["listeners"] == "koop_guard"
     assert return_time(planned.parameters) == 20.0  # from -5 to 5
     assert names(plan({**file, "plant": "true"})) == ["relay_esc", "koopman_lifter", "vdp_plant"]
     assert not any("koop_guard" in note for note in planned.notes)

@@ -134,11 +134,11 @@ class Processes:
 
     def _plant(self, ros: list[str]) -> tuple[list[str], list[str] | None]:
         scenario, setting = self._scenario, self._scenario.setting
-        topics = {"state": "rig/state", "theta": "rig/theta"} if scenario.injects else {}
+        topics = {"theta": "theta"}
+        if scenario.injects:
+            topics = {"state": "rig/state", "theta": "rig/theta"}
         if scenario.sensor_topic:
             topics["state"] = scenario.sensor_topic
-        if scenario.command_topic:
-            topics["theta"] = scenario.command_topic
         if setting.plant == "vdp_plant":
             return [*ros, *(w for t, to in topics.items() for w in ("-r", f"{t}:={to}"))], None
         options = {

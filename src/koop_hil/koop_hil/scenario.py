@@ -117,12 +117,6 @@ class Scenario:
         return parse_source(fields).topic.lstrip("/") if fields else ""
 
     @property
-    def command_topic(self) -> str:
-        """Where the plant takes a plain number in place of the controller's answers; else empty."""
-        command = str(self.parameters.get("relay_esc", {}).get("command", ""))
-        return command.partition(":")[0].lstrip("/")
-
-    @property
     def dt(self) -> float:
         """Time between two states [s]."""
         return float(self.parameters.get("koopman_lifter", {}).get("dt", PlantConfig().dt))
@@ -209,7 +203,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
 def with_controller(scenario: Scenario, file: Path) -> Scenario:
     """Return a scenario with the lifter and controller of a parameter file.
 
-    The scenario's theta at the start and its command remain: they are the plant's, too.
+    The scenario's theta at the start remains: it is the plant's, too.
 
     Raises ConfigError if the file cannot be used; names it.
     """
@@ -218,10 +212,7 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
         parameters.build(by_node)
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}") from None
-    esc = by_node.get("relay_esc", {})
-    esc.pop("theta_initial", None)
-    if command := scenario.parameters.get("relay_esc", {}).get("command"):
-        esc.setdefault("command", command)  # a file with a guard names it there
+    by_node.get("relay_esc", {}).pop("theta_initial", None)
     return replace(scenario, parameters={**scenario.parameters, **by_node})
 
 

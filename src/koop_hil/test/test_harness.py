@@ -121,11 +121,11 @@ def test_a_rig_of_which_the_lifter_takes_one_field_measures_on_a_topic_of_its_ow
     assert "rig/state" in scenario.topics
 
 
-def test_a_rig_of_standard_messages_says_what_it_does_and_takes_by_the_parameters(tmp_path):
+def test_a_rig_of_standard_messages_says_what_it_does_by_the_parameters(tmp_path):
     scenario = read(find("rig-jsbsim-gusts"))
     rig = Processes(tmp_path, scenario)._command("plant")[0]
     assert rig[:2] == ["jsbsim", "--until-eof"]
-    assert {"--state=imu", "--theta=gain", "--truth"} <= set(rig)
+    assert {"--state=imu", "--theta=theta", "--truth"} <= set(rig)
     assert rig[-len(split := scenario.setting.rig_options.split()) :] == split
     assert scenario.dt == pytest.approx(1 / 120, rel=1e-4)
     best = scenario.setting.theta_star
@@ -169,9 +169,7 @@ def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
     other = with_controller(scenario, tmp_path / "controller.yaml")
     model = str(tmp_path / "model.npz")
     assert other.parameters["koopman_lifter"] == {"cost": "lifted", "model": model}
-    # and theta_initial of the plant; a file with a guard leaves the command to that
-    command = scenario.parameters["relay_esc"]["command"]
-    assert other.parameters["relay_esc"] == {"law": "adaptive", "command": command}
+    assert other.parameters["relay_esc"] == {"law": "adaptive"}  # and the plant's theta_initial
     assert (other.setting, other.limits) == (scenario.setting, scenario.limits)
     (tmp_path / "controller.yaml").write_text("/**/relay_esc:\n  ros__parameters: {law: wide}\n")
     with pytest.raises(ConfigError, match=r"controller\.yaml: relay_esc: law = 'wide'"):

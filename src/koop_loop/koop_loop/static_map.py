@@ -56,7 +56,7 @@ def performance(
     t, theta, r : ndarray, shape (M,)
         Time [s], control input and cost.
     """
-    plant, esc = parameters.plant.knob(0, coupling=()), parameters.esc.knob(0, command="")
+    plant, esc = parameters.plant.knob(0, coupling=()), parameters.esc.knob(0)
 
     def cost(held: float, duration: float) -> NDArray[np.float64]:
         held = min(max(held, plant.theta_min), plant.theta_max)  # what the actuator can reach

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from koop_core.config.fields import parse_source
 from koop_core.config.knobs import KnobSettings
 from koop_core.config.parameter import ConfigError, parameter
 from relay_esc.barrier import BarrierParams, barrier_params
@@ -98,18 +97,9 @@ class EscConfig(KnobSettings):
         "'koop tune' found it: a barrier keeps the bound; 0: there is none",
         low=-1e9, high=1e9, read_only=True,
     )  # fmt: skip
-    command: str = parameter(
-        "",
-        "topic:field, such as /rig/theta:data, on which theta is also published, for a rig that "
-        "does not listen to theta; the message type is the one that the rig subscribes to; empty: "
-        "none",
-        read_only=True,
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.command and len(parse_source(self.command).fields) != self.count:
-            raise ConfigError(f"command = {self.command!r}: must have a field for each knob")
         if self.count > 1:
             if self.widest or self.margin_slope:
                 raise ConfigError("widest and margin_slope are for one knob")
@@ -143,7 +133,7 @@ class EscConfig(KnobSettings):
 
     def knob(self, i: int, **others: Any) -> EscConfig:
         """Return the configuration of one knob alone, with ``others`` changed."""
-        of_all = {"command": "", "begin": ()} if self.count > 1 else {}
+        of_all = {"begin": ()} if self.count > 1 else {}
         return super().knob(i, **{**of_all, **others})
 
     @property

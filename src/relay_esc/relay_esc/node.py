@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 from koop_msgs.msg import ControlInput, Cost
-from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
-from koop_core.config.fields import Source, check_fields, parse_source, write_field
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
@@ -22,9 +20,9 @@ from koop_core.port import NO_PORT, OTHER
 from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT, Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.entities import Input, Writer
-from koop_node.node.graph import Listeners, listeners_of, subscribers_of
-from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
-from koop_node.node.qos import NEWEST, RELIABLE
+from koop_node.node.graph import listeners_of
+from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run
+from koop_node.node.qos import RELIABLE
 from koop_node.node.stamps import to_seconds
 from koop_node.node.wire import codec
 from relay_esc import barrier, directions, relay
@@ -50,9 +48,7 @@ class EscRun(Run):
         self._origin: tuple[int, str] | None = None
         self._hold_asked = False
         self._publisher: Writer | None = None
-        self._command: Publisher | Writer | None = None
         self._reader: Input | None = None
-        self._own: Any = None  # the rig's message, unless that is the answer itself
         # for the types that messages bring, and compiled before the first of them
         first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
         self._barrier = barrier.UNKNOWN
@@ -70,38 +66,17 @@ class EscRun(Run):
         entities.service(SetBool, "~/hold", self._on_hold)
 
     def activate(self, entities: Entities) -> None:
-        config = self._node.parameters[EscConfig]
-        rig, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "any")
-        writer = self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
+        rig, _ = listeners_of(self._node.parameters[ListenersConfig].listeners, "any")
+        self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
 
         def listen() -> None:
             self._reader = entities.reader(Cost, "cost", self._on_cost, RELIABLE)
 
-        def command(name: str) -> None:
-            publisher = self._make_command(entities, source, name)
-            needed = {publisher: Listeners(next=rig.next), writer.publisher: observers}
-            entities.when_heard(needed, listen)
-
-        if config.command:  # the rig listens there, and to nothing else
-            source = parse_source(config.command)
-            entities.when_typed(subscribers_of, source.topic, command)
-        else:
-            entities.when_heard({writer.publisher: rig}, listen)
-
-    def _make_command(self, entities: Entities, source: Source, name: str) -> Publisher:
-        """Return the publisher of what the rig takes, a message of the type that it listens to."""
-        kind = message_type(name)
-        check_fields(source.fields, kind())
-        self._fields = source.fields
-        if kind is ControlInput:
-            self._own, self._command = None, entities.writer(kind, source.topic, NEWEST)
-            return self._command.publisher
-        self._own, self._command = kind(), entities.publisher(kind, source.topic, NEWEST)
-        return self._command
+        entities.when_heard({self._publisher.publisher: rig}, listen)
 
     def deactivate(self) -> None:
         self._input.pause()
-        self._publisher = self._command = self._reader = None
+        self._publisher = self._reader = None
 
     def parameters_changed(self, names: set[str]) -> None:
         self._take_parameters()
@@ -159,12 +134,6 @@ class EscRun(Run):
         if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update
             self._process(cost, arrival)
         self._publisher.publish(self._answer)
-        if self._command is None:
-            return
-        if self._own is not None:
-            for field, theta in zip(self._fields, self._answer.theta, strict=True):
-                write_field(field, self._own, theta)
-        self._command.publish(self._answer if self._own is None else self._own)
 
     def _take_dt(self, cost: Any) -> None:
         """Begin again at another sampling time; a cost whose own cannot be used has no r."""
@@ -211,7 +180,7 @@ class EscRun(Run):
     def lend(self, rehearsal: bool) -> tuple[ControllerStage, ControllerProgress] | None:
         """Return what :func:`relay_esc.stage.answer_next` needs; None where it cannot go on."""
         reader, writer, level = self._reader, self._publisher, self._level
-        plain = self._command is None and not self._several and self._input.steady
+        plain = not self._several and self._input.steady
         source, model_id = self._origin or (0, "")
         taken = given = NO_PORT
         if reader is not None and writer is not None and plain:

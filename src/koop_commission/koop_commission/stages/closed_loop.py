@@ -72,7 +72,6 @@ class ClosedLoop:
         parameters[ESC] |= {
             "autostart": False,
             "theta_initial": list(start) if len(start) > 1 else start[0],
-            "command": "",
             "listeners": f"{GUARD} recorder",
         }
         return parameters

@@ -142,7 +142,7 @@ MESSAGES: dict[str, tuple[type, Callable[[Header, int, Sequence[float]], Any], t
 }
 """Type of the measurements, what makes one of header, step and values, and the command's type.
 
-A ControlInput names the step that it answers, a Float64 does not.
+A ControlInput, which all take on the topic `theta`, names the step that it answers.
 """
 
 
@@ -161,6 +161,7 @@ class Wire:
 
     def __init__(self, state: str, theta: str, message: str, truth: bool) -> None:
         kind, self._made, command = MESSAGES[message]
+        command = ControlInput if theta == "theta" else command
         participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
         reliable = Policy.Reliability.Reliable(duration(seconds=1))
         kept = Qos(reliable, Policy.History.KeepLast(1000))

@@ -18,8 +18,6 @@ from koop_loop.parameters import LoopParameters
 from koopman_lifter.model import load_fitting
 
 Values = dict[str, dict[str, Any]]
-OWN_TOPICS = {"koopman_lifter": {"measured": ""}, "relay_esc": {"command": ""}}
-"""A rig with messages of its own: what the lifter made of them is recorded as `state`."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,8 @@ def make_plan(
             models = Models(recording.path, *(str(values.get("model", "")) for values in named))
             recorded["koopman_lifter"]["model"] = str(models.file(recording.first_model))
             changes = tuple(_with_model(change, recording, models) for change in changes)
-    used = {node: {**recorded[node], **chosen[node], **OWN_TOPICS[node]} for node in CONTROLLER}
+    used = {node: {**recorded[node], **chosen[node]} for node in CONTROLLER}
+    used["koopman_lifter"]["measured"] = ""
     segments = _segments(used, changes, recording.step.size)
     differences = _differences(recording, parameters.make(recorded), segments, chosen)
     return ReplayPlan(segments, differences, notes)
@@ -107,12 +106,12 @@ def _usable_values(recording: Recording) -> tuple[list[str], Values]:
     for node in CONTROLLER:
         names, values = known_parameters(node), recording.values.get(node, {})
         usable[node] = {name: value for name, value in values.items() if name in names}
-        usable[node].update(OWN_TOPICS[node])
         notes += [
             f"{node}.{name} = {value} was recorded; this version has no such parameter"
             for name, value in values.items()
             if name not in names
         ]
+    usable["koopman_lifter"]["measured"] = ""  # a rig's own message is recorded as `state`
     if recording.first_cost:
         usable["koopman_lifter"]["cost"] = recording.first_cost
     if lacking := recording.without_parameters:
