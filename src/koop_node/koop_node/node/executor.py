@@ -23,14 +23,16 @@ from typing import Any
 
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
+RCLError = rclpy_implementation.RCLError
 AT_ONCE = 50  # messages of one entity before others have their turn
 
-Take = Callable[[Any], bool]
-"""Takes what has come to an entity and calls back; returns whether there was something."""
+Take = Callable[[], bool]
+"""Takes one thing that has come to an entity and calls back; returns whether there was one."""
 
 
 class Executor:
@@ -39,7 +41,8 @@ class Executor:
     def __init__(self) -> None:
         self._nodes: list[Node] = []
         self._descriptors: dict[Any, int] = {}  # by subscription or node
-        self._entities: dict[int, dict[Any, Take]] = {}  # by descriptor
+        self._entities: dict[Any, tuple[int, Take]] = {}  # descriptor and take
+        self._takers: dict[int, list[Take]] = {}  # by descriptor
         self._epoll = select.epoll()
         self._changed = False
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -74,49 +77,115 @@ class Executor:
         """Wait for something new, at most a time [s], and call the callbacks of what there is."""
         if self._changed:
             self._follow()
-        select.select([self._epoll], [], [], timeout)  # which does not round to milliseconds
-        for descriptor, _ in self._epoll.poll(0):
-            os.eventfd_read(descriptor)
-            for entity, take in list(self._entities[descriptor].items()):
-                for _ in range(AT_ONCE):
-                    if not (_is_there(entity) and take(entity)):
+        if timeout < 0.001:  # epoll rounds up to milliseconds
+            select.select([self._epoll], [], [], timeout)
+            timeout = 0.0
+        for descriptor, _ in self._epoll.poll(timeout - 0.001 if timeout else 0.0):
+            most = count = os.eventfd_read(descriptor)
+            takers = self._takers[descriptor]
+            if count > AT_ONCE or len(takers) > 1:
+                most = AT_ONCE
+            for take in takers:
+                for _ in range(most):
+                    if not take():
                         break
                 else:
-                    os.eventfd_write(descriptor, 1)
+                    if most == AT_ONCE:  # there may be more
+                        os.eventfd_write(descriptor, max(count - most, 1))
 
     def _follow(self) -> None:
         """Listen to what the nodes have now."""
         self._changed = False
-        there = {entity: (owner, take) for owner, entity, take in self._find()}
-        for entities in self._entities.values():
-            for entity in entities.keys() - there.keys():
-                del entities[entity]
-                if _is_there(entity):
-                    _notify(entity, None, None)
+        there = {entity: (owner, make) for owner, entity, make in self._find()}
+        for entity in self._entities.keys() - there.keys():
+            descriptor, take = self._entities.pop(entity)
+            self._takers[descriptor].remove(take)
+            with suppress(InvalidHandle):  # it was destroyed
+                _notify(entity, None, None)
         for owner, descriptor in list(self._descriptors.items()):
-            if not self._entities[descriptor]:
-                del self._descriptors[owner], self._entities[descriptor]
+            if not self._takers[descriptor]:
+                del self._descriptors[owner], self._takers[descriptor]
                 self._epoll.unregister(descriptor)
                 os.close(descriptor)
-        for entity, (owner, take) in there.items():
+        for entity in there.keys() - self._entities.keys():
+            owner, make = there[entity]
             if owner not in self._descriptors:
                 descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-                self._descriptors[owner], self._entities[descriptor] = descriptor, {}
+                self._descriptors[owner], self._takers[descriptor] = descriptor, []
                 self._epoll.register(descriptor, select.EPOLLIN)
-            descriptor = self._descriptors[owner]
-            if entity not in self._entities[descriptor]:
-                self._entities[descriptor][entity] = take
-                _notify(entity, _eventfd_write(), descriptor)
+            descriptor, take = self._descriptors[owner], make(entity)
+            self._entities[entity] = descriptor, take
+            self._takers[descriptor].append(take)
+            _notify(entity, _eventfd_write(), descriptor)
 
-    def _find(self) -> Iterator[tuple[Any, Any, Take]]:
-        """Yield each entity with whose descriptor it shares, and what takes from it."""
+    def _find(self) -> Iterator[tuple[Any, Any, Callable[[Any], Take]]]:
+        """Yield each entity with whose descriptor it shares, and what makes its take."""
         for node in self._nodes:
             for subscription in node.subscriptions:
-                yield subscription, subscription, _take_message
+                yield subscription, subscription, _take_messages
             for service in node.services:
-                yield node, service, _take_request
+                yield node, service, _take_requests
             for client in node.clients:
-                yield node, client, _take_response
+                yield node, client, _take_responses
+
+
+def _take_messages(subscription: Any) -> Take:
+    handle, kind, raw = subscription.handle, subscription.msg_type, subscription.raw
+    take_message, callback = handle.take_message, subscription.callback
+    if subscription._callback_type is Subscription.CallbackType.MessageOnly:
+
+        def call(taken: Any) -> None:
+            callback(taken[0])
+    else:
+
+        def call(taken: Any) -> None:
+            callback(*taken)
+
+    def take() -> bool:
+        try:
+            taken = take_message(kind, raw)
+        except RCLError:
+            if _is_there(subscription):
+                raise
+            return False
+        if taken is None:
+            return False
+        call(taken)
+        return True
+
+    return take
+
+
+def _take_requests(service: Any) -> Take:
+    kind = service.srv_type
+
+    def take() -> bool:
+        if not _is_there(service):
+            return False
+        with service.handle:
+            request, header = service.handle.service_take_request(kind.Request)
+        if header is None:
+            return False
+        service.send_response(service.callback(request, kind.Response()), header)
+        return True
+
+    return take
+
+
+def _take_responses(client: Any) -> Take:
+    def take() -> bool:
+        if not _is_there(client):
+            return False
+        with client.handle:
+            header, response = client.handle.take_response(client.srv_type.Response)
+        if header is None:
+            return False
+        with suppress(KeyError):  # nobody waits for it any more
+            future = client.get_pending_request(header.request_id.sequence_number)
+            future.set_result(response)
+        return True
+
+    return take
 
 
 def _is_there(entity: Any) -> bool:
@@ -126,44 +195,6 @@ def _is_there(entity: Any) -> bool:
             return True
     except InvalidHandle:
         return False
-
-
-def _take_message(subscription: Any) -> bool:
-    """Take a message and call back; return whether there was one."""
-    with subscription.handle:
-        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
-    if taken is None:
-        return False
-    if subscription._callback_type is Subscription.CallbackType.MessageOnly:
-        subscription.callback(taken[0])
-    else:
-        subscription.callback(*taken)
-    return True
-
-
-def _take_request(service: Any) -> bool:
-    """Take a request and answer it; return whether there was one."""
-    with service.handle:
-        request, header = service.handle.service_take_request(service.srv_type.Request)
-    if header is None:
-        return False
-    response = service.callback(request, service.srv_type.Response())
-    service.send_response(response, header)
-    return True
-
-
-def _take_response(client: Any) -> bool:
-    """Take a response and complete its future; return whether there was one."""
-    with client.handle:
-        header, response = client.handle.take_response(client.srv_type.Response)
-    if header is None:
-        return False
-    try:
-        future = client.get_pending_request(header.request_id.sequence_number)
-    except KeyError:  # nobody waits for it any more
-        return True
-    future.set_result(response)
-    return True
 
 
 @cache

@@ -116,7 +116,8 @@ def _spin(
             executor.run(wait)
             for go_on in shortcuts:
                 go_on()
-            ended = [node for node in nodes if node.exit_code is not None]
+            if timers.ended:
+                ended = [node for node in nodes if node.exit_code is not None]
         if ended:
             code = ended[0].exit_code or 0
             if ended[0] is not nodes[-1]:

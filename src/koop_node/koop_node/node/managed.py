@@ -161,6 +161,8 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     def finish(self, exit_code: int = 0) -> None:
         """End the process after the current callback; in a container, end the work."""
         self.exit_code = exit_code
+        if self._schedule is not None:
+            self._schedule.ended = True
 
     def close(self) -> None:
         """Go back to the first state before the process ends; called once, also after a signal."""

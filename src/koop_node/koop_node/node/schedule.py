@@ -56,6 +56,8 @@ class Schedule:
         self.clock = clock
         self.asked = 0
         """The signal that asked the process to end; 0: none has."""
+        self.ended = False
+        """Whether a node has finished."""
         self._number = itertools.count()
         self._heap: list[tuple[float, int, ScheduledTimer]] = []
 
