@@ -112,7 +112,6 @@ def test_a_bag_becomes_a_controller_with_its_reasons(bagged, capsys):
     assert loop.lifter.cost == "lifted"
     assert loop.load_model().model_id == load(folder / "out/model.npz").model_id
     assert "model: model.npz" in (folder / "out/controller.yaml").read_text()
-    assert loop.esc.command == ""
     guard = parameters.read(folder / "out/controller.yaml", GUARD)["koop_guard"]
     assert guard["command"] == "/knob:data"  # which alone commands the rig
     assert guard["note"] == str(folder / ".rig.yaml.theta")

@@ -134,10 +134,8 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
     words = ["commission", str(tmp_path / "rig.yaml"), "--out", str(tuned)]
     assert main(words) == 0
     out = capfd.readouterr().out
-    # a busy machine delays the answers: then theta may arrive later than predicted
-    assert re.search(
-        "(?s)The rig is damped (as predicted|about as predicted, .*took .*): ./koop up", out
-    )
+    # a busy machine delays the answers: then theta may arrive later, or swing more, than predicted
+    assert re.search("(?s)The rig is damped (as|about as) predicted.*: ./koop up", out)
     assert fast_rig.theta == ONE.theta_safe
     assert_walked(fast_rig.moved, ONE)
     verified = json.loads((tuned / "verify.json").read_text())

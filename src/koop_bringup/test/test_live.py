@@ -15,6 +15,7 @@ ENDS_LATE = """
 import os, signal, sys
 from koop_node.process.lifeline import end_with_parent
 def on_signal(number, frame):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a handler in its own handler cannot print
     os.kill(os.getppid(), signal.SIGINT)
     print("ended", flush=True)
     sys.exit(0)
