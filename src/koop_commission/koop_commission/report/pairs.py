@@ -25,9 +25,8 @@ def draw_pairs(c: Contents, knobs: Sequence[int]) -> Figure:
     other knobs are at their best.
     """
     holds, rig = c.excitation.holds, c.rig
-    u = rig.u([hold.theta for hold in holds])
-    y = rig.sense * np.array([hold.level for hold in holds])
-    bowl = fit_bowl(u[:, list(knobs)], y, np.array([hold.error for hold in holds]))
+    u, y, error = c.excitation.arrays(rig)
+    bowl = fit_bowl(u[:, list(knobs)], y, error)
     above = np.exp(y - y.min())
     classes = (
         (f"within {MAP.good:g} times the best", above <= MAP.good, BEST),

@@ -133,9 +133,7 @@ def find_starts(rig: RigFile, state: ExcitationProgress) -> list[tuple[float, ..
         return [rig.each("theta_min"), rig.each("theta_max")]
     corners = np.array(list(itertools.product((0.0, 1.0), repeat=n)))
     if len(state.holds) > n:
-        u = rig.u([hold.theta for hold in state.holds])
-        y = rig.sense * np.array([hold.level for hold in state.holds])
-        bowl = fit_bowl(u, y, np.array([hold.error for hold in state.holds]))
+        bowl = fit_bowl(*state.arrays(rig))
         corners = corners[np.argsort(bowl.log(corners), kind="stable")]
     return [rig.theta_at(1.0 - corners[-1]), rig.theta_at(corners[-1])]
 

@@ -6,12 +6,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import read_object, write_json
 from koop_tune.excitation.amplitude import Amplitude, Windows
 from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.rig.rig_file import RigFile, as_values
 
+Array = NDArray[np.float64]
 NAME = "excite.json"
 
 
@@ -75,6 +79,15 @@ class ExcitationProgress:
     def narrow(self, rig: RigFile) -> RigFile:
         """Return the rig file with the limits of theta that keep the constraint."""
         return rig if self.safe is None else self.safe.narrow(rig)
+
+    def arrays(self, rig: RigFile) -> tuple[Array, Array, Array]:
+        """Return the positions of the holds, shape (M, n), their levels and errors, shape (M,).
+
+        A level is the logarithm of the amplitude, or minus it where the amplitude is to be large.
+        """
+        u = rig.u([hold.theta for hold in self.holds])
+        levels, errors = np.array([(hold.level, hold.error) for hold in self.holds]).T
+        return u, rig.sense * levels, errors
 
 
 class Excitation(NamedTuple):
