@@ -17,11 +17,11 @@ from koop_core.config.constraint import Constraint
 from koop_core.config.fields import Source, check_fields, read_field
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
-from koop_core.port import NO_PORT, OTHER
+from koop_core.port import NO_PORT
 from koop_core.stream.arrival import Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.adapter import StateAdapter
-from koop_node.node.entities import Input, Writer
+from koop_node.node.entities import Writer
 from koop_node.node.graph import listeners_of, publishers_of
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
@@ -136,7 +136,6 @@ class LifterRun(Run):
         self._input = StreamMonitor(self._topic, timeout_of(config.dt), config.dt, may_end=True)
         self.inputs = (self._input,)
         self._publisher: Writer | None = None
-        self._reader: Input | None = None
 
     def activate(self, entities: Entities) -> None:
         follower, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "loop")
@@ -149,7 +148,7 @@ class LifterRun(Run):
 
         def listen() -> None:
             if foreign is None:
-                self._reader = entities.reader(MeasuredState, "state", self._on_state, RELIABLE)
+                self.reader = entities.reader(MeasuredState, "state", self._on_state, RELIABLE)
             else:
                 entities.when_typed(publishers_of, foreign.topic, listen_to)
 
@@ -165,7 +164,7 @@ class LifterRun(Run):
 
     def deactivate(self) -> None:
         self._input.pause()
-        self._publisher = self._reader = None
+        self._publisher = self.reader = None
         if self._foreign is not None:
             self._foreign.publisher = None
 
@@ -253,22 +252,25 @@ class LifterRun(Run):
         In the contrast where there is one: interference that may outshine the oscillation is not in
         it.
         """
-        projector, work = self._loaded.lifting.projector, self._loaded.work
-        if self._source == cost.LIFTED and len(projector) == 1:
+        if self._has_contrast:
             if self._filling():
                 return
-            x = projector @ work.z
+            x = self._loaded.lifting.projector @ self._loaded.work.z
         if x.size != self._watch.channels:
             self._begin_watch(x.size)
         change = self._watch.take(self._answer.step, x)
         if change is not None:
             self._change = change
 
+    @property
+    def _has_contrast(self) -> bool:
+        return self._source == cost.LIFTED and len(self._loaded.lifting.projector) == 1
+
     # -- compiled -----------------------------------------------------------------------------
 
     def lend(self, rehearsal: bool) -> tuple[LifterStage, LifterProgress] | None:
         """Return what :func:`koopman_lifter.stage.answer_next` needs; None: it cannot go on."""
-        reader, writer, answer = self._reader, self._publisher, self._answer
+        reader, writer, answer = self.reader, self._publisher, self._answer
         joined = self._input.steady and not (self._state.settling or self._filling())
         source = target = NO_PORT
         if reader is not None and writer is not None and self._signal is None and joined:
@@ -277,11 +279,14 @@ class LifterRun(Run):
             source, target = reader.port(state, STATE), writer.port(answer, COST)
         elif not rehearsal:
             return None
+        watched = 1 if self._has_contrast else max(self._n, 1)
+        if watched != self._watch.channels:  # what it looks at is written by its number
+            self._begin_watch(watched)
         self._change = self._watch.settle() or self._change
         looks, ear, threshold, spectrum, tally = self._watch.lend()
         stage = LifterStage(
             source, target, self._source, self._loaded.lifting, self._detector, self._loaded.work,
-            np.zeros(self._n), np.zeros(self._watch.channels), looks, ear, threshold, spectrum,
+            np.zeros(self._n), np.zeros(watched), looks, ear, threshold, spectrum,
         )  # fmt: skip
         return stage, LifterProgress(answer.step, self._state, tally)
 
@@ -294,15 +299,11 @@ class LifterRun(Run):
             self._input.follow_on(count, stamp, time.monotonic())
 
     def handle(self, reason: int) -> None:
-        """Do what the compiled code has left to do."""
-        if self._reader is None:
-            return
-        if reason == OTHER:
-            self._reader.deliver_last()
-        elif reason == CHANGED:
+        super().handle(reason)
+        if reason == CHANGED:
             self._change = self._watch.judge()
-        elif reason == UNUSABLE:
-            self._judge_unusable(self._reader.last().x)
+        elif reason == UNUSABLE and self.reader is not None:
+            self._judge_unusable(self.reader.last().x)
 
     def _begin_watch(self, channels: int = 1) -> None:
         self._watch = Watch(channels, self._answer.dt)

@@ -31,10 +31,8 @@ from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspac
 
 STATE = ("step", "lockstep", "x")
 COST = ("step", "r", "y_out", "settling")
-UNUSABLE, CHANGED = (
-    10,
-    11,
-)  # reasons to stop after a state: no cost of it, the watch found something
+UNUSABLE, CHANGED = MORE + 1, MORE + 2
+"""Reasons to stop after a state: there is no cost of it; the watch has found something."""
 
 
 class LifterStage(NamedTuple):

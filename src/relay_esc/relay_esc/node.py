@@ -16,10 +16,10 @@ from std_srvs.srv import SetBool, Trigger
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
-from koop_core.port import NO_PORT, OTHER
+from koop_core.port import NO_PORT
 from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT, Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
-from koop_node.node.entities import Input, Writer
+from koop_node.node.entities import Writer
 from koop_node.node.graph import listeners_of
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run
 from koop_node.node.qos import RELIABLE
@@ -48,7 +48,6 @@ class EscRun(Run):
         self._origin: tuple[int, str] | None = None
         self._hold_asked = False
         self._publisher: Writer | None = None
-        self._reader: Input | None = None
         # for the types that messages bring, and compiled before the first of them
         first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
         self._barrier = barrier.UNKNOWN
@@ -70,13 +69,13 @@ class EscRun(Run):
         self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
 
         def listen() -> None:
-            self._reader = entities.reader(Cost, "cost", self._on_cost, RELIABLE)
+            self.reader = entities.reader(Cost, "cost", self._on_cost, RELIABLE)
 
         entities.when_heard({self._publisher.publisher: rig}, listen)
 
     def deactivate(self) -> None:
         self._input.pause()
-        self._publisher = self._reader = None
+        self._publisher = self.reader = None
 
     def parameters_changed(self, names: set[str]) -> None:
         self._take_parameters()
@@ -179,7 +178,7 @@ class EscRun(Run):
 
     def lend(self, rehearsal: bool) -> tuple[ControllerStage, ControllerProgress] | None:
         """Return what :func:`relay_esc.stage.answer_next` needs; None where it cannot go on."""
-        reader, writer, level = self._reader, self._publisher, self._level
+        reader, writer, level = self.reader, self._publisher, self._level
         plain = not self._several and self._input.steady
         source, model_id = self._origin or (0, "")
         taken = given = NO_PORT
@@ -204,11 +203,6 @@ class EscRun(Run):
             self._level.count = after.level_count
             stamp = to_seconds(self._answer.header.stamp)
             self._input.follow_on(count, stamp, time.monotonic())
-
-    def handle(self, reason: int) -> None:
-        """Do what the compiled code has left to do."""
-        if reason == OTHER and self._reader is not None:
-            self._reader.deliver_last()
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]

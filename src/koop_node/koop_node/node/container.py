@@ -49,7 +49,7 @@ def make(words: Sequence[str]) -> list[ManagedNode[Any]]:
 
 
 def shortcuts(nodes: list[ManagedNode[Any]]) -> list[Callable[[], None]]:
-    """Return what installed packages do for nodes that share a process, at the node's own pace."""
+    """Return what installed packages call after the callbacks of nodes that share a process."""
     if os.environ.get("KOOP_COMPILED") == "0":
         return []
     found = [entry.load()(nodes) for entry in entry_points(group="koop_shortcuts")]

@@ -132,25 +132,19 @@ class Executor:
 def _take_messages(subscription: Any) -> Take:
     handle, kind, raw = subscription.handle, subscription.msg_type, subscription.raw
     take_message, callback = handle.take_message, subscription.callback
-    if subscription._callback_type is Subscription.CallbackType.MessageOnly:
-
-        def call(taken: Any) -> None:
-            callback(taken[0])
-    else:
-
-        def call(taken: Any) -> None:
-            callback(*taken)
+    without_info = subscription._callback_type is Subscription.CallbackType.MessageOnly
+    count = 1 if without_info else 2
 
     def take() -> bool:
         try:
             taken = take_message(kind, raw)
         except RCLError:
-            if _is_there(subscription):
+            with suppress(InvalidHandle), handle:  # else a callback has destroyed it
                 raise
             return False
         if taken is None:
             return False
-        call(taken)
+        callback(*taken[:count])
         return True
 
     return take
@@ -160,10 +154,11 @@ def _take_requests(service: Any) -> Take:
     kind = service.srv_type
 
     def take() -> bool:
-        if not _is_there(service):
+        try:
+            with service.handle:
+                request, header = service.handle.service_take_request(kind.Request)
+        except InvalidHandle:  # a callback has destroyed it
             return False
-        with service.handle:
-            request, header = service.handle.service_take_request(kind.Request)
         if header is None:
             return False
         service.send_response(service.callback(request, kind.Response()), header)
@@ -174,10 +169,11 @@ def _take_requests(service: Any) -> Take:
 
 def _take_responses(client: Any) -> Take:
     def take() -> bool:
-        if not _is_there(client):
+        try:
+            with client.handle:
+                header, response = client.handle.take_response(client.srv_type.Response)
+        except InvalidHandle:
             return False
-        with client.handle:
-            header, response = client.handle.take_response(client.srv_type.Response)
         if header is None:
             return False
         with suppress(KeyError):  # nobody waits for it any more
@@ -186,15 +182,6 @@ def _take_responses(client: Any) -> Take:
         return True
 
     return take
-
-
-def _is_there(entity: Any) -> bool:
-    """Return whether an entity was not destroyed, as by another's callback."""
-    try:
-        with entity.handle:
-            return True
-    except InvalidHandle:
-        return False
 
 
 @cache

@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile
 from koop_core.config.fields import check_type
 from koop_core.config.parameter import ConfigError, NodeConfig
 from koop_core.errors import KoopError
+from koop_core.port import OTHER
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import ERROR, OK, STALE, WARN, News, NodeFinding, summary
 from koop_node.node import schedule
@@ -52,6 +53,8 @@ class Run:
 
     inputs: tuple[StreamMonitor, ...] = ()
     """Reported on /diagnostics."""
+    reader: Input | None = None
+    """What compiled code may take messages from."""
 
     def activate(self, entities: Entities) -> None:
         """Start working; what is created through the entities ends with the active state."""
@@ -90,6 +93,8 @@ class Run:
 
     def handle(self, reason: int) -> None:
         """Do what compiled code has left to do; see :mod:`koop_core.port` and the node's stage."""
+        if reason == OTHER and self.reader is not None:
+            self.reader.deliver_last()
 
     def samples(self) -> int:
         """Return how many samples were processed, for the rate on /diagnostics."""

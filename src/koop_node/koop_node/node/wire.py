@@ -60,6 +60,15 @@ class Packing(NamedTuple):
     lengths: tuple[int, ...]
 
 
+class Piece(NamedTuple):
+    """A length word (whose path is empty) or a value, and where it lies in a message."""
+
+    path: str
+    item: str
+    begin: int
+    end: int
+
+
 class Places(NamedTuple):
     """Where the values of a message lie, and of all others whose length words are the same.
 
@@ -122,22 +131,12 @@ class Codec:
 
     def places(self, data: bytes) -> Places:
         """Return where the values of a message lie; WireError as :meth:`decode`."""
-        lengths, at, end = iter(self._find(data).lengths), {}, len(LITTLE)
-        guards = []
-
-        def take(size: int, count: int) -> int:
-            nonlocal end
-            begin = end + -(end - len(LITTLE)) % size if count else end
-            end = begin + count * size
-            return begin
-
-        for leaf in self._leaves:
-            count = 1
-            if leaf.kind != "number":
-                count = next(lengths)
-                guards.append((take(4, 1), count))
-            at[leaf.path] = take(struct.calcsize(f"<{leaf.format}"), count)
-        return Places(at, np.array(guards).reshape(-1, 2), end)
+        lengths = self._find(data).lengths
+        pieces = list(self._pieces(lengths))
+        words = [piece.begin for piece in pieces if not piece.path]
+        guards = np.array(list(zip(words, lengths, strict=True))).reshape(-1, 2)
+        at = {piece.path: piece.begin for piece in pieces if piece.path}
+        return Places(at, guards, pieces[-1].end)
 
     def _layout(self, lengths: tuple[int, ...]) -> Packing:
         if lengths not in self._layouts:
@@ -147,23 +146,26 @@ class Codec:
         return self._layouts[lengths]
 
     def _format(self, lengths: tuple[int, ...]) -> str:
-        text, at, left = "<4s", 0, iter(lengths)
+        text, at = "<4s", len(LITTLE)
+        for piece in self._pieces(lengths):
+            pad = piece.begin - at
+            text += f"{pad}x{piece.item}" if pad else piece.item
+            at = piece.end
+        return text
 
-        def put(size: int, item: str, alignment: int) -> None:
-            nonlocal text, at
-            pad = -at % alignment
-            text += f"{pad}x{item}" if pad else item
-            at += pad + size
-
+    def _pieces(self, lengths: tuple[int, ...]) -> Iterator[Piece]:
+        end, left = len(LITTLE), iter(lengths)
         for leaf in self._leaves:
             size = struct.calcsize(f"<{leaf.format}")
-            if leaf.kind == "number":
-                put(size, leaf.format, size)
-                continue
-            length = next(left)
-            put(4, "I", 4)
-            put(length * size, f"{length * size}s", size if length else 1)
-        return text
+            parts = [(leaf.path, leaf.format, size, size)]
+            if leaf.kind != "number":
+                length = next(left)
+                whole = length * size
+                parts = [("", "I", 4, 4), (leaf.path, f"{whole}s", whole, size if length else 1)]
+            for path, item, taken, alignment in parts:
+                begin = end + -(end - len(LITTLE)) % alignment
+                end = begin + taken
+                yield Piece(path, item, begin, end)
 
     def _find(self, data: bytes) -> Packing:
         """Walk over a message and return its layout."""

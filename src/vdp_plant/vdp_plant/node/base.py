@@ -19,7 +19,6 @@ from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
-from koop_node.node.entities import Input
 from koop_node.node.graph import listeners_of
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
 from koop_node.node.qos import NEWEST, RELIABLE
@@ -74,7 +73,6 @@ class PlantRun(Run):
         self._state_message = codec(MeasuredState).new()
         self._ground_truth_message = codec(PlantTruth).new()
         self._ground_truth_message.header = self._state_message.header
-        self._reader: Input | None = None
         self._outlets: Outlets | None = None
         """There while the node is active."""
         self._on_clock_topic = bool(node.get_parameter("use_sim_time").value)
@@ -90,11 +88,11 @@ class PlantRun(Run):
             self.start(entities)
 
         self._outlets = outlets
-        self._reader = entities.reader(ControlInput, "theta", self.on_theta, self.theta_qos)
+        self.reader = entities.reader(ControlInput, "theta", self.on_theta, self.theta_qos)
         entities.when_heard(needed, start)
 
     def deactivate(self) -> None:
-        self._outlets = self._reader = None
+        self._outlets = self.reader = None
 
     def start(self, entities: Entities) -> None:
         """Begin, or go on after a pause: all listeners are there."""
@@ -104,7 +102,7 @@ class PlantRun(Run):
         """Take a control input."""
         raise NotImplementedError
 
-    def told(self) -> str:
+    def describe_steps(self) -> str:
         """Return what is said of the steps at the end."""
         raise NotImplementedError
 
@@ -186,7 +184,7 @@ class PlantRun(Run):
     def _end(self) -> None:
         assert self._outlets is not None
         self._outlets.acknowledged(1.0)
-        self._node.get_logger().info(f"done: {self._k} steps, {self.told()}")
+        self._node.get_logger().info(f"done: {self._k} steps, {self.describe_steps()}")
         self._node.finish(0)
 
     def _usable(self, message: Any) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 from koop_msgs.msg import ControlInput
 
-from koop_core.port import NO_PORT, OTHER
+from koop_core.port import NO_PORT
 from koop_core.stream.resend import Due, Resend
 from koop_node.node.managed import ERROR, OK, Entities, ManagedNode
 from koop_node.node.wire import codec
@@ -55,7 +55,7 @@ class LockstepRun(PlantRun):
         super().parameters_changed(names)
         self._question.timeout = self._node.parameters[PaceConfig].theta_timeout
 
-    def told(self) -> str:
+    def describe_steps(self) -> str:
         return f"{self._compiled} of them compiled"
 
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
@@ -111,7 +111,7 @@ class LockstepRun(PlantRun):
 
     def lend(self, rehearsal: bool) -> tuple[PlantStage, PlantProgress] | None:
         """Return what :func:`vdp_plant.stage.step_next` needs; None where it cannot go on."""
-        reader, outlets, question = self._reader, self._outlets, self._question
+        reader, outlets, question = self.reader, self._outlets, self._question
         plain = question.open and not question.overdue and self._node.exit_code is None
         plain = plain and len(self._theta) == 1 and self._input.steady
         taken = state = truth = NO_PORT
@@ -143,11 +143,6 @@ class LockstepRun(PlantRun):
         self._sent.send(self._k, now)
         self._question.ask(now)
         self._input.follow_on(count, self._theta_step * self._params.dt, now)
-
-    def handle(self, reason: int) -> None:
-        """Do what the compiled code has left to do."""
-        if reason == OTHER and self._reader is not None:
-            self._reader.deliver_last()
 
     def _check_answer(self) -> None:
         if self._held_since is not None:

@@ -36,7 +36,7 @@ class TimedRun(PlantRun):
         self._ticks.start(time.monotonic())
         self._timer = entities.timer(self._period, self._tick)
 
-    def told(self) -> str:
+    def describe_steps(self) -> str:
         return f"{self.late} late ticks"
 
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
