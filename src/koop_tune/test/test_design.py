@@ -17,7 +17,7 @@ from koop_tune.excitation.design import (
     Move,
     first_positions,
 )
-from koop_tune.excitation.holds import Hold
+from koop_tune.excitation.holds import HOLDS, Hold
 from koop_tune.excitation.static_map import MapSettings
 from koop_tune.rig.rig_file import RigFile
 
@@ -272,7 +272,7 @@ def test_the_best_is_held_as_long_as_the_rig_was_seen_to_need_to_grow():
         return absorber(0.05, 6.0, 0.45)(u)
 
     design, _ = excite(Simulated(slow, noise=0.03, tau=25.0), replace(RIG, time=3e4))
-    growth = max(x.skip for x in design.levels() if x.rise > DESIGN.grown)
+    growth = max(x.skip for x in design.levels() if x.rise > HOLDS.grown)
     confirmed = [hold for hold in design.holds if hold.confirms]
     assert confirmed
     for hold in confirmed:

@@ -130,7 +130,7 @@ def test_the_map_of_a_recording_is_that_of_what_reacts():
     assert holds[3].x.tolist() == x[4800:6400].tolist()
     amplitude = choose_amplitude(windows, [hold.powers(windows) for hold in holds])
     assert not amplitude.weight[0].any()
-    actual = find_dwells(loaded, UNIT, amplitude)
+    actual = find_dwells(loaded, UNIT, amplitude, 1.0)
     static_map = actual.static_map(actual.logs, 1.0)
     truth = np.log((0.5 + 4.0 * (static_map.u - 0.5) ** 2) / 1.5)
     assert np.abs(static_map.mean - truth).max() < 0.1
@@ -163,4 +163,4 @@ def test_the_longest_growth_is_the_longest_rest_of_which_the_beginning_was_less(
     logs[4][:3] -= level  # 3 windows of 2 s
     logs[5][:9] += 3.0  # falls
     rests = [Rest(i, 0, 2000, skip) for i, skip in enumerate([0, 0, 0, 0, 3, 9, 0, 0, 0])]
-    assert make_dwells(rests, logs, 100).longest_growth(0.5) == pytest.approx(growth)
+    assert make_dwells(rests, logs, 100).longest_growth() == pytest.approx(growth)

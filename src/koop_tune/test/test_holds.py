@@ -1,6 +1,7 @@
 """Level, error and settling of a hold, against processes of which they are known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from koop_tune.excitation.amplitude import Windows
 from koop_tune.excitation.holds import (
     Hold,
     HoldSettings,
+    Level,
     count_alike,
     find_level,
+    find_proven,
     mean_level,
     standard_error,
     usual_wander,
@@ -117,3 +120,44 @@ def test_samples_that_are_appended_give_the_powers_of_all_at_once():
     assert ragged.powers(windows) == pytest.approx(whole.powers(windows), rel=1e-12)
     assert (ragged.size, ragged.x.tolist()) == (1000, x.tolist())
     assert whole.late(windows).tolist() == whole.powers(windows)[10:].tolist()
+
+
+def visit(stays, edge=0.1, gain=0.25, noise=0.02):
+    """Return positions, levels and truth of stays (u, windows) around a valley at 0.5.
+
+    Beyond its edges log a grows at gain * (distance from the edge) in a window, up to 0, and decays
+    at 0.1 within; of what is measured, hypot(a, noise), nothing shows at first.
+    """
+    log, rng, levels = 0.0, np.random.default_rng(6), []
+    for u, count in stays:
+        rate = gain * (abs(u - 0.5) - edge) if abs(u - 0.5) > edge else -0.1
+        path = np.clip(log + rate * np.arange(1, count + 1), math.log(noise) - 1.5, 0.0)
+        log = float(path[-1])
+        logs = 0.5 * np.logaddexp(2.0 * path, 2.0 * math.log(noise)) + rng.normal(0.0, 0.05, count)
+        levels.append(hold_logs(logs))
+    u = np.array([u for u, _ in stays])
+    return u, levels, np.where(np.abs(u - 0.5) > edge, 0.0, math.log(noise))
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_short_hold_from_a_quiet_place_does_not_count_where_an_oscillation_may_grow(sense):
+    stays = [(0.0, 20), (1.0, 20), (0.5, 200), (0.38, 20), (0.3, 250), (0.9, 12), (0.57, 120),
+             (0.54, 12), (0.62, 12), (0.7, 12)]  # fmt: skip
+    u, levels, truth = visit(stays)
+    levels = [replace(x, mean=sense * x.mean, rise=sense * x.rise) for x in levels]
+    false = np.abs(sense * np.array([x.mean for x in levels]) - truth) > 1.0
+    assert set(u[false]) == {0.38, 0.62, 0.7}
+    assert (find_proven(u, levels, sense) == ~false).all()
+
+
+def test_holds_count_where_no_growth_was_seen_or_nothing_is_far_worse():
+    def level(mean, count, skip=0, rise=0.0):
+        return Level(mean, 0.1, skip, count, rise, 0.0)
+
+    u = np.array([0.5, 0.3, 0.1, 0.4])
+    quiet, short = level(0.0, 40), level(0.2, 8)
+    far, near, even = level(3.0, 40, 20, 2.9), level(1.0, 40, 20, 0.9), level(3.0, 40)
+    assert find_proven(u, [quiet, short, far, quiet]).tolist() == [True, False, True, True]
+    assert find_proven(u, [quiet, short, near, quiet]).all()
+    assert find_proven(u, [quiet, short, even, quiet]).all()
+    assert find_proven(np.empty(0), []).size == 0

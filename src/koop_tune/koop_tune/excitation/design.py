@@ -34,7 +34,7 @@ from koop_tune.excitation.amplitude import (
     window_length,
 )
 from koop_tune.excitation.channels import find_lines, should_listen
-from koop_tune.excitation.holds import Hold, Level, usual_wander
+from koop_tune.excitation.holds import Hold, Level, find_proven, longest_growth, usual_wander
 from koop_tune.excitation.static_map import MAP, MapSettings, StaticMap
 from koop_tune.origin import studied
 from koop_tune.rig.rig_file import RigFile
@@ -65,7 +65,6 @@ class DesignSettings(Settings):
     usual: float = studied(0.75, "quantile of what holds show that the next one may need")
     reserve: float = studied(1.5, "hold, in times that the rig was seen to need", low=1.0)
     growth: float = studied(2.0, "hold at the best, in the longest growth seen", low=1.0)
-    grown: float = studied(0.5, "rise of a log amplitude that is a growth", low=0.0)
     most_share: float = parameter(0.1, "longest hold, over the rig file's time", low=0.01)
     soon: float = parameter(0.02, "share of a hold after which it is judged again", low=0.0)
     error: float = studied(0.03, "standard error that is good enough", low=1e-3)
@@ -443,14 +442,15 @@ class Design:
         """Return the map of the finished holds, as it is now."""
         assert self.amplitude is not None, "nothing reacts"
         levels, sizes = self.levels(), np.array([hold.size for hold in self.holds])
-        static_map = StaticMap(
-            np.array([hold.u for hold in self.holds]),
-            np.array([level.mean for level in levels]),
-            np.array([level.error for level in levels]),
-            self.rig.sense,
-            self._settings.map,
-        )
-        return static_map.now(np.cumsum(sizes) - 0.5 * sizes)
+        proven = self._find_proven(self.holds, levels)
+        columns = ([h.u for h in self.holds], [x.mean for x in levels], [x.error for x in levels])
+        u, mean, error = np.array(columns)[:, proven]
+        static_map = StaticMap(u, mean, error, self.rig.sense, self._settings.map)
+        return static_map.now((np.cumsum(sizes) - 0.5 * sizes)[proven])
+
+    def _find_proven(self, holds: Sequence[Hold], levels: Sequence[Level]) -> NDArray[np.bool_]:
+        """Return which holds tell what the rig comes to."""
+        return find_proven(np.array([hold.u for hold in holds]), levels, self.rig.sense)
 
     def levels(self) -> list[Level]:
         """Return the level of each finished hold."""
@@ -500,8 +500,7 @@ class Design:
         skips = [level.skip if abs(level.rise) > self._target else 0 for level in levels]
         settling = float(np.quantile(skips, s.usual)) * s.reserve  # a slight change is none
         if self._growth:
-            grown = [level.skip for level in levels if level.rise > s.grown]
-            settling = max([settling, *(s.growth * skip for skip in grown)])
+            settling = max(settling, s.growth * longest_growth(levels))
         return math.ceil(settling) + least
 
     def take(self, x: Array) -> bool:
@@ -521,6 +520,8 @@ class Design:
             worse = self.rig.sense * level.mean - self._best
             enough = max(self._target, worse * s.error_of_worse, s.error_of_gap * self._brief)
             if level.error > enough or not level.is_settled(s.trend * enough):
+                return False
+            if not self._find_proven([*self.holds, hold], [*self.levels(), level])[-1]:
                 return False
         hold.confirms = self._growth
         self.holds.append(hold)

@@ -6,6 +6,9 @@ error of the rest is least (White, Simulation 69 (1997) 323-334),
     d = argmin_{d <= m/2} var(a_d .. a_m) / (m - d)
 
 and as long as d is at that end, the rig is still settling.
+
+Where theta came from a quiet place, a hold looks settled before an oscillation has grown:
+:func:`find_proven` tells which holds were long enough.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, judged
 from koop_tune.excitation.amplitude import Amplitude, Windows
+from koop_tune.origin import studied
 
 Array = NDArray[np.float64]
 
@@ -30,6 +34,8 @@ class HoldSettings(Settings):
     errors: float = judged(2.5, "standard errors of the level", low=0.0)
     slight: float = judged(0.01, "change of a log amplitude, if more", low=0.0)
     usual: float = judged(0.75, "quantile of the wander that most holds show", low=0.0, high=1.0)
+    grown: float = studied(0.5, "rise of a log amplitude that is a growth", low=0.0)
+    far: float = judged(3.0, "amplitude over the best beyond which nothing is quiet", low=1.0)
 
 
 HOLDS = HoldSettings()
@@ -181,6 +187,45 @@ def mean_level(squares: Array, floor: float = 0.0) -> tuple[float, float]:
     """
     mean = max(float(squares.mean()), floor**2)
     return 0.5 * math.log(mean), 0.5 * float(standard_error(squares[:, None])[0]) / mean
+
+
+def longest_growth(levels: Sequence[Level], sense: float = 1.0) -> int:
+    """Return the most windows in which a level was seen to become worse."""
+    return max((x.skip for x in levels if sense * x.rise > HOLDS.grown), default=0)
+
+
+def find_proven(
+    u: Array, levels: Sequence[Level], sense: float = 1.0, settings: HoldSettings = HOLDS
+) -> NDArray[np.bool_]:
+    """Return which holds, in the order of time, tell what the rig comes to where they are.
+
+    A rig that was quiet before is quiet for a while wherever theta goes: near the edge of a valley
+    an oscillation grows slowly. That it stays quiet is shown by a hold as long as the longest
+    growth that was seen, or by one in which it became quiet; and between two of these by any. Of
+    others that began quiet and are, nothing is known where it is far worse further out.
+
+    Parameters
+    ----------
+    u : ndarray, shape (N,)
+        Their positions.
+    levels : sequence of Level
+        Their levels.
+    sense : float
+        +1 if little is wanted, else -1.
+    settings : HoldSettings
+        What is quiet.
+    """
+    far = math.log(settings.far)
+    y, count = np.array([(sense * x.mean, x.count) for x in levels]).reshape(-1, 2).T
+    before = np.r_[math.inf, y[:-1]]
+    sure = (before - y > far) | (count >= longest_growth(levels, sense))
+    quiet = float(y[sure].min(initial=math.inf)) + far
+    places = u[sure & (y <= quiet)]
+    low, high = places.min(initial=math.inf), places.max(initial=-math.inf)
+    sides = [u <= v if v < low else u >= v for v in u]
+    room = np.array([y[side].max() for side in sides]) - y
+    doubted = (np.maximum(before, y) <= quiet) & ((u < low) | (u > high)) & (room > far)
+    return np.asarray(sure | ~doubted)
 
 
 def usual_wander(values: Sequence[float]) -> float:

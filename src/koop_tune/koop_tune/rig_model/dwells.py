@@ -13,7 +13,14 @@ from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, list_segments
 from koop_tune.excitation.amplitude import Amplitude
-from koop_tune.excitation.holds import Hold, find_level, mean_level, usual_wander
+from koop_tune.excitation.holds import (
+    HOLDS,
+    Hold,
+    find_level,
+    find_proven,
+    mean_level,
+    usual_wander,
+)
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.origin import studied
 from koop_tune.rig.scale import Scale
@@ -116,12 +123,12 @@ class Dwells:
         rests = [rest._replace(level=int(i)) for rest, i in zip(self.rests, level, strict=True)]
         return found, replace(self, u=u, rests=rests)
 
-    def longest_growth(self, least: float) -> float:
-        """Return the longest time [s] in which a log amplitude rose by ``least`` or more."""
+    def longest_growth(self) -> float:
+        """Return the longest time [s] in which an oscillation grew."""
         rises = [
             rest.skip * self.amplitude.windows.seconds
             for rest, logs in zip(self.rests, self.logs, strict=True)
-            if logs[rest.skip :].mean() - logs[0] > least
+            if logs[rest.skip :].mean() - logs[0] > HOLDS.grown
         ]
         return max(rises, default=0.0)
 
@@ -204,13 +211,17 @@ def leave_out_short(
 ) -> tuple[NDArray[np.float64], list[Rest]]:
     """Leave out the rests that are shorter than a part of most, and values that have no other."""
     middle = float(np.median([rest.end - rest.begin for rest in rests]))
-    rests = [rest for rest in rests if rest.end - rest.begin >= part * middle]
+    return _only_held(u, [rest for rest in rests if rest.end - rest.begin >= part * middle])
+
+
+def _only_held(u: NDArray[np.float64], rests: list[Rest]) -> tuple[NDArray[np.float64], list[Rest]]:
+    """Leave out the values that have no rest."""
     kept, level = np.unique([rest.level for rest in rests], return_inverse=True)
     return u[kept], [rest._replace(level=int(i)) for i, rest in zip(level, rests, strict=True)]
 
 
-def find_dwells(loaded: Loaded, scale: Scale, amplitude: Amplitude) -> Dwells:
-    """Return the rests in a recording, with the amplitude in each window.
+def find_dwells(loaded: Loaded, scale: Scale, amplitude: Amplitude, sense: float) -> Dwells:
+    """Return the rests that tell what a rig comes to, with the amplitude in each window.
 
     Raises
     ------
@@ -222,11 +233,15 @@ def find_dwells(loaded: Loaded, scale: Scale, amplitude: Amplitude) -> Dwells:
     squares = [
         amplitude.squares(amplitude.windows.powers(loaded.x[:, a:b].T)) for _, a, b, _ in rests
     ]
-    rests = [
-        rest._replace(skip=min(find_level(amplitude, part).skip, part.size - DWELLS.settled))
-        for rest, part in zip(rests, squares, strict=True)
-    ]
-    return Dwells(u, rests, amplitude, [amplitude.log(part) for part in squares])
+    levels = [find_level(amplitude, part) for part in squares]
+    proven = find_proven(u[[rest.level for rest in rests]], levels, sense)
+    columns = zip(rests, levels, squares, proven, strict=True)
+    found = [
+        (rest._replace(skip=min(level.skip, level.count - DWELLS.settled)), amplitude.log(part))
+        for rest, level, part, counts in columns if counts
+    ]  # fmt: skip
+    u, rests = _only_held(u, [rest for rest, _ in found])
+    return Dwells(u, rests, amplitude, [logs for _, logs in found])
 
 
 def find_holds(

@@ -154,7 +154,7 @@ def analyse(
         amplitude = Design(rig, find_holds(loaded, scale, windows.length), windows).amplitude
     if amplitude is None:
         raise NoOptimum("flat", f"no frequency of any channel reacts to theta: {TO_DO}")
-    dwells = find_dwells(loaded, scale, amplitude)
+    dwells = find_dwells(loaded, scale, amplitude, rig.sense)
     static_map, dwells = dwells.now(dwells.static_map(dwells.logs, rig.sense))
     powers = [
         amplitude.windows.powers(loaded.x[:, a:b].T)[skip:].mean(axis=0)
@@ -173,7 +173,7 @@ def analyse(
     findings = Findings(
         scale, dwells, static_map, period, amplitude.name(rig.names), rig.names, candidates,
         limit_theta(static_map, rig, settings, safe), amplitude.modes(powers),
-        dwells.longest_growth(DESIGN.grown), safe=safe,
+        dwells.longest_growth(), safe=safe,
         speed=static_map.motion / max(float(np.ptp(dwells.middles)) * dt, dt),
     )  # fmt: skip
     return decide(findings, rig, settings)

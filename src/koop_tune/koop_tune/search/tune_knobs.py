@@ -132,7 +132,9 @@ def tune_knobs(
         raise NoOptimum("flat", "no section of the map over any knob is known: record with "
                         "'koop excite', until it says that the map is known")  # fmt: skip
     parts = {k: cut_section(loaded, rig, k, line) for k, line in lines.items()}
-    dwells = {k: find_dwells(part, rig.knob(k).scale, amplitude) for k, part in parts.items()}
+    dwells = {
+        k: find_dwells(part, rig.knob(k).scale, amplitude, rig.sense) for k, part in parts.items()
+    }
     sections = {k: d.static_map(d.logs, rig.sense) for k, d in dwells.items()}
     knob = max(sections, key=lambda k: sections[k].evidence)
     try:
