@@ -134,6 +134,9 @@ class PaperRig(Rig):
 class FastRig(Rig):
     """Oscillates at 20 Hz; its amplitude follows 0.3 + (theta - 0.8)^2 within 0.1 s.
 
+    The second channel moves half as far as the first: were they equal, their norm would not
+    oscillate, and a raw cost would be blind to them.
+
     With a second knob a^2 + a b + b^2 takes the place of a^2 = (theta - 0.8)^2, where b is ten
     times what the second knob is from 0.1: the two are coupled. It then waits for the answer to
     each sample, though not for long: a busy machine makes it slow, not another rig.
@@ -220,7 +223,7 @@ class FastRig(Rig):
                 aim = 0.3 + a**2 + a * b + b**2
             self.size += DT / 0.03 * (aim - self.size)
             x = self.size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
-            y = self.size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
+            y = 0.5 * self.size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
             said = [99.0 if self.spike else self.louder * x, y]
             if self.dead is not None:
                 said[self.dead] = 0.5

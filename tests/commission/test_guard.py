@@ -265,6 +265,14 @@ def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe
     assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
 
 
+def assert_replays(koop, run):
+    """Check that a run is repeated to the last bit, unless the guard has reset the controller."""
+    with BagReader(run / "bag") as bag:
+        status = read_columns(bag, "/koop_guard/state", ["status"])["status"].tolist()
+    rearmed = (GuardState.TRIPPED, GuardState.FOLLOWING) in pairwise(status)  # a busy machine
+    assert koop("replay", str(run), "--offline").wait(3.0 * LONG) == 0 or rearmed
+
+
 def test_two_coupled_knobs_converge_resume_and_return_together(koop, own_domain, probe, tmp_path):
     rig_file.write(TWO_KNOBS, tmp_path / "rig.yaml")
     (tmp_path / "loop.yaml").write_text(koop("params", "--rig", "rig.yaml").communicate()[0])
@@ -324,8 +332,10 @@ def test_two_coupled_knobs_converge_resume_and_return_together(koop, own_domain,
     with BagReader(tmp_path / "again" / "bag") as bag:
         answers = read_columns(bag, "/theta", ["theta[0]", "theta[1]"])
     begin = [answers[f"theta[{i}]"][0] for i in (0, 1)]
-    assert begin == kept != list(safe)
-    assert koop("replay", "again", "--offline").wait(3.0 * LONG) == 0  # equal bit for bit
+    # on its way to the next point, it may have made a first step
+    assert (np.abs(np.subtract(begin, kept)) <= np.array(TWO_KNOBS.theta_rate) * DT + 1e-12).all()
+    assert kept != list(safe)
+    assert_replays(koop, tmp_path / "again")
 
 
 def test_the_arrival_of_theta_at_a_target_is_announced(start, probe):
@@ -460,7 +470,7 @@ def test_a_loop_goes_on_where_its_controller_was_killed(
     with BagReader(tmp_path / "again" / "bag") as bag:  # the recorder was there before the answers
         first = read_columns(bag, "/theta", ["theta[0]", "epsilon"])
     assert (first["theta[0]"][0], first["epsilon"][0]) == (theta, epsilon)
-    assert koop("replay", "again", "--offline").wait(LONG) == 0  # equal bit for bit
+    assert_replays(koop, tmp_path / "again")
 
 
 def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_path):

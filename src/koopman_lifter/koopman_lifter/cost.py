@@ -7,6 +7,8 @@
     y_lp,k = a_lp y_lp,k-1 + (1 - a_lp) y_hp,k^2,                a_lp = exp(-omega_l dt)
     r_k    = max(y_lp,k, 0)                     (after Wang and Krstic 2000)
 
+What does not oscillate is not seen: of two channels that circle, equally large, the raw cost is 0.
+
 The detector starts from the first measurement, not from zero: the first difference is 0. A detector
 that joins a run under way would climb from 0, which looks like a cost that gets worse. So it has no
 r (NaN) until both filters have settled, and then takes for y_lp the mean over the n samples that it
