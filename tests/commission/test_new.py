@@ -22,12 +22,13 @@ def answered(path, answers):
 
 @pytest.fixture
 def rig(probe):
-    """A rig that says three numbers a message, without a stamp, and listens to a Float64.
+    """A rig that says three numbers a message, without a stamp, and listens to two Float64.
 
     The third one does not change.
     """
     tower = probe.node.create_publisher(Float64MultiArray, "/tower", 10)
-    probe.node.create_subscription(Float64, "/tower/stiffness", lambda message: None, 10)
+    for knob in ("stiffness", "damping"):
+        probe.node.create_subscription(Float64, f"/tower/{knob}", lambda message: None, 10)
     swing = itertools.cycle((0.5, -0.5))
     probe.node.create_timer(
         0.01, lambda: tower.publish(Float64MultiArray(data=[x := next(swing), -2.0 * x, 7.0]))
@@ -47,11 +48,14 @@ def rig(probe):
 
 def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     path = tmp_path / "rig.yaml"
-    done = answered(path, "1 \n\n0.01\n\n\n0.5\n1.6\n0.05\n1\n\nnone\n3 3\n\n600\n")
+    answers = "1 \n\n0.01\n2, 1\n\n\n0.5 -1\n1.6, 1\n0.05\n1 0\n\nnone\n3 3\n\n600\n"
+    done = answered(path, answers)
     assert done.returncode == 0, done.stderr
     config = read(path)
-    assert (config.measured, config.command) == ("/tower:data[0],data[1]", "/tower/stiffness:data")
-    assert (config.theta_safe, config.channel_min, config.channel_max) == (1.0, (), (3.0, 3.0))
+    assert config.measured == "/tower:data[0],data[1]"
+    assert config.command == "/tower/stiffness:data, /tower/damping:data"
+    assert (config.theta_min, config.theta_max, config.theta_rate) == ((0.5, -1), (1.6, 1), 0.05)
+    assert (config.theta_safe, config.channel_min, config.channel_max) == ((1, 0), (), (3, 3))
     proposed = re.search(
         r"time between two messages of the measured channels \[s\] \[([\d.]+)\]", done.stdout
     )

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from koop_commission.stages.new_rig_file import ask, parse_number
+from koop_commission.stages.new_rig_file import ask, parse_knobs, parse_number
 from koop_core.config.parameter import ConfigError
 
 
@@ -55,3 +55,13 @@ def test_a_number_fits_its_range_and_the_values_before(name, text, error):
         return
     with pytest.raises(ConfigError, match=error):
         parse_number(name, values, text)
+
+
+def test_several_knobs_take_one_number_or_one_each():
+    values = {"theta_min": (-1.0, 0.0), "theta_max": (3.0, 0.3)}
+    assert parse_knobs("theta_start", values, 2, "0.2") == 0.2
+    assert parse_knobs("theta_start", values, 2, "2.5, 0.1") == (2.5, 0.1)
+    with pytest.raises(ConfigError, match=r"1: must lie within \[0, 0.3\]"):
+        parse_knobs("theta_start", values, 2, "2.5 1")
+    with pytest.raises(ConfigError, match="3 numbers for 2 knobs"):
+        parse_knobs("theta_start", values, 2, "1 2 3")

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,10 +24,11 @@ from koop_core.config.fields import (
     check_topic,
     format_field,
     numbers_of,
-    parse_field,
     parse_source,
+    parse_sources,
     read_field,
 )
+from koop_core.config.knobs import MOST
 from koop_core.config.parameter import ConfigError, Settings, judged, spec_of
 from koop_node.client.alone import DISCOVERY, is_empty
 from koop_node.client.client import Client
@@ -119,7 +121,9 @@ class Interview:
         self._ask_command()
         for name in ("theta_min", "theta_max", "theta_rate", "theta_start"):
             self._ask_number(name)
-        self._ask_number("theta_safe", f"{self.values['theta_start']:g}")
+        start = self.values["theta_start"]
+        proposal = " ".join(f"{v:g}" for v in (start if isinstance(start, tuple) else [start]))
+        self._ask_number("theta_safe", proposal)
         self._ask_limits(samples)
         objective = SPECS["objective"]
         question = f"{objective.description} ({objective.constraint})"
@@ -131,7 +135,7 @@ class Interview:
         """Ask for the measured channels; return their samples, if any were received."""
         published = [t for t in self.topics if t.publishers and t.name not in CONTROLLER_TOPICS]
         head = "published topics" if published else "no topic is published: is the rig running?"
-        topic, kind = _ask_topic("topic of the measured channels", published, head)
+        ((topic, kind),) = _ask_topics("topic of the measured channels", published, head)
         message = (
             listen(self.client, topic, kind, (), PROPOSAL.patience, most=1).last if kind else None
         )
@@ -166,24 +170,28 @@ class Interview:
         return listener.samples() if listener.count else None
 
     def _ask_command(self) -> None:
-        from koop_node.node.managed import message_type
-
         measured = parse_source(self.values["measured"]).topic
         subscribed = [t for t in self.topics if t.subscribers and t.name != measured]
         subscribed.sort(key=lambda t: (bool(t.publishers), t.name))  # without a publisher first
         head = "topics with a subscriber" if subscribed else "no topic has a subscriber"
-        topic, kind = _ask_topic("topic that takes theta", subscribed, head)
+        head += " (name several, separated by commas, for several knobs)" * (len(subscribed) > 1)
+        topics = _ask_topics("topic that takes theta", subscribed, head, MOST)
+        self.values["command"] = ", ".join(starmap(self._ask_fields, topics))
+
+    def _ask_fields(self, topic: str, kind: str) -> str:
+        from koop_node.node.managed import message_type
+
         message = message_type(kind)() if kind else None
         names = [format_field(path) for path in numbers_of(message)] if message else ["data"]
 
         def parse(text: str) -> str:
-            path = parse_field(text)
+            paths = parse_source(f"{topic}:{text}").fields
             if message is not None:
-                check_fields((path,), message)
-            return f"{topic}:{text}"
+                check_fields(paths, message)
+            return f"{topic}:{_join(paths)}"
 
         proposal = "theta" if "theta" in names else [*names, "data[0]"][0]
-        self.values["command"] = ask("field that takes theta", proposal, parse)
+        return ask(f"field of {topic} that takes theta", proposal, parse)
 
     def _ask_limits(self, samples: Samples | None) -> None:
         channels = parse_source(self.values["measured"]).fields
@@ -204,7 +212,26 @@ class Interview:
     def _ask_number(self, name: str, proposal: str = "") -> None:
         unit = f" [{SPECS[name].unit}]" * bool(SPECS[name].unit)
         question = f"{SPECS[name].description}{unit}"
-        self.values[name] = ask(question, proposal, partial(parse_number, name, self.values))
+        knobs = 1
+        if SPECS[name].per_knob:
+            knobs = sum(len(source.fields) for source in parse_sources(self.values["command"]))
+        question += f", one number or {knobs}" * (knobs > 1)
+        self.values[name] = ask(question, proposal, partial(parse_knobs, name, self.values, knobs))
+
+
+def parse_knobs(
+    name: str, values: dict[str, Any], knobs: int, text: str
+) -> float | tuple[float, ...]:
+    """Return the number of each knob, or one for all; raise as :func:`parse_number` does."""
+    words = text.replace(",", " ").split() or [text]
+    if len(words) not in (1, knobs):
+        raise ConfigError(f"{len(words)} numbers for {knobs} knob{'s' * (knobs > 1)}")
+    of_knobs = {k: v for k, v in values.items() if SPECS[k].per_knob}
+    numbers = []
+    for i, word in enumerate(words * (knobs // len(words))):
+        own = {k: v[i] if isinstance(v, tuple) else v for k, v in of_knobs.items()}
+        numbers.append(parse_number(name, own, word))
+    return tuple(numbers) if len(words) > 1 else numbers[0]
 
 
 def parse_number(name: str, values: dict[str, Any], text: str) -> float:
@@ -230,22 +257,31 @@ def parse_number(name: str, values: dict[str, Any], text: str) -> float:
     return value
 
 
-def _ask_topic(question: str, topics: Sequence[Topic], head: str) -> tuple[str, str]:
-    """Ask for a topic by its number or name; return it with its type, empty if it is not there."""
+def _ask_topics(
+    question: str, topics: Sequence[Topic], head: str, most: int = 1
+) -> list[tuple[str, str]]:
+    """Ask for topics by number or name; return them with their types, empty if not there."""
 
-    def parse(text: str) -> str:
+    def parse_one(text: str) -> str:
         if not text.isdecimal():
             return "/" + check_topic(text).lstrip("/")
         if not 1 <= int(text) <= len(topics):
             raise ConfigError(f"{text}: must be 1 to {len(topics)}, or the name of a topic")
         return topics[int(text) - 1].name
 
+    def parse(text: str) -> list[str]:
+        names = list(map(parse_one, text.replace(",", " ").split() or [text]))
+        if len(set(names)) < len(names) or len(names) > most:
+            raise ConfigError(f"{text}: name one topic" + f", or up to {most}" * (most > 1))
+        return names
+
     rows = [
         f"  {number} {t.name}  {t.type}  (published by {', '.join(t.publishers) or 'none'})"
         for number, t in enumerate(topics, 1)
     ]
-    name = ask(question, "1" if topics else "", parse, "\n".join(["", head, *rows]))
-    return name, next((topic.type for topic in topics if topic.name == name), "")
+    names = ask(question, "1" if topics else "", parse, "\n".join(["", head, *rows]))
+    types = {topic.name: topic.type for topic in topics}
+    return [(name, types.get(name, "")) for name in names]
 
 
 def _propose_dt(samples: Samples | None) -> str:
