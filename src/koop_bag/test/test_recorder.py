@@ -129,10 +129,11 @@ def test_lost_steps_are_counted_while_recording_and_at_the_end(tmp_path, message
         publish({"/cost": publishers["/cost"]}, messages.loop, [0, 1, 2, 5, 6, 6, 7, 1, 9])
         publish({"/state": publishers["/state"]}, messages.loop, range(20))
         publish({"/theta": publishers["/theta"]}, messages.loop, range(4, 20))
+        publishers["/theta"].publish(b"\0\1\0\0" + b"\xff" * 8)  # damaged, of no step
         talker.spin_until(lambda: reports and reports[-1].get("lost /cost") == "3", "a report")
         assert reports[-1]["lost /state"] == "0"
         assert int(reports[-1]["messages"]) >= 29 + 16
-        recorder.wait_for("/theta", 16)
+        recorder.wait_for("/theta", 17)
         recorder.stop()
         assert "lost messages: 3 on /cost" in recorder.output()
         assert "/theta begins at step 4, not at 0" in recorder.output()

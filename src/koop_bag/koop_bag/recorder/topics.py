@@ -7,8 +7,10 @@ The time of reception comes from DDS and does not depend on when a message is fe
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from operator import itemgetter
 from typing import Any
 
@@ -205,7 +207,8 @@ def fetch(topics: Collection[RecordedTopic], nodes: Iterable[WatchedNode] = ()) 
             continue
         topic.count += 1
         if topic.losses is not None:
-            topic.losses.add(step_of(data))
+            with suppress(struct.error):  # a damaged message is recorded, too
+                topic.losses.add(step_of(data))
         rows.append((received, topic.channel or topic.open_channel(), sent, data))
     return rows
 
