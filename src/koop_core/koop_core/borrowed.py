@@ -11,3 +11,8 @@ def borrowed(array):  # type: ignore[no-untyped-def]  # numba compares signature
     each, which together may take longer than all that the loop computes.
     """
     return array
+
+
+def overlay(data, at, count, dtype):  # type: ignore[no-untyped-def]
+    """Return so many values of a type that lie in an array of bytes, borrowed as above."""
+    return data[at : at + count * dtype(0).itemsize].view(dtype)

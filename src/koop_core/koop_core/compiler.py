@@ -17,7 +17,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 from numba.extending import intrinsic, overload
 
-from koop_core.borrowed import borrowed
+from koop_core.borrowed import borrowed, overlay
 from koop_core.foreign import call
 
 # A kernel that is inlined is copied block by block, with all its variables for each: a quarter of
@@ -33,6 +33,10 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
     """
 
     locks: ClassVar[dict[str, int]] = {}  # descriptors by module
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        """Tell kernels of one closure by the types of their arguments: what it holds has a uuid."""
+        return signature, codegen.magic_tuple(), self._py_func.__code__.co_code
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # memory for arrays: all that a kept kernel needs
@@ -86,6 +90,29 @@ def _without_owner(typing: Any, array: Any) -> Any:
 @overload(borrowed)
 def _borrowed(array):  # type: ignore[no-untyped-def]
     return lambda array: _without_owner(array)
+
+
+@intrinsic
+def _overlay(typing: Any, data: Any, at: Any, count: Any, dtype: Any) -> Any:
+    kind = types.Array(dtype.dtype, 1, "C")
+
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        from numba.np.arrayobj import populate_array  # of which only the compiler knows
+
+        source = context.make_array(data)(context, builder, arguments[0])
+        view = context.make_array(kind)(context, builder)
+        place = builder.bitcast(builder.gep(source.data, [arguments[1]]), view.data.type)
+        size = context.get_abi_sizeof(context.get_data_type(kind.dtype))
+        step = context.get_constant(types.intp, size)
+        populate_array(view, place, [arguments[2]], [step], step, None)
+        return view._getvalue()
+
+    return kind(data, types.intp, types.intp, dtype), made
+
+
+@overload(overlay)
+def _overlaid(data, at, count, dtype):  # type: ignore[no-untyped-def]
+    return lambda data, at, count, dtype: _overlay(data, at, count, dtype)
 
 
 @intrinsic

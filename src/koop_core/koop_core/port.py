@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.borrowed import overlay
 from koop_core.foreign import call
 from koop_core.kernels import njit
 
-IDLE, OTHER, FAILED, MORE = range(4)
-"""Why compiled code stops: nothing waits, a message is Python's, rcl failed; MORE: it goes on."""
+IDLE, MORE, OTHER, FAILED = range(4)
+"""Nothing waits; code goes on. Why it stops: a message is Python's, rcl failed; a stage's own."""
 PLAIN = MORE
 
 
@@ -75,8 +76,7 @@ def receive(port: Port) -> int:
     if message[0] != address or message[1] < port.size or data[0] != 0 or data[1] != 1:
         return OTHER
     for i in range(port.guards.shape[0]):
-        at = port.guards[i, 0]
-        if data[at : at + 4].view(np.uint32)[0] != port.guards[i, 1]:
+        if overlay(data, port.guards[i, 0], 1, np.uint32)[0] != port.guards[i, 1]:
             return OTHER
     return PLAIN
 
@@ -90,22 +90,22 @@ def send(port: Port) -> bool:
 @njit()
 def floats(port: Port, i: int, count: int) -> NDArray[np.float64]:
     """Return the i-th of the port's values, so many float64 in a row, as an array over it."""
-    at = port.at[i]
-    return port.data[at : at + 8 * count].view(np.float64)
+    view: NDArray[np.float64] = overlay(port.data, port.at[i], count, np.float64)
+    return view
 
 
 @njit()
 def word(port: Port, i: int) -> NDArray[np.int64]:
     """Return the i-th of the port's values, an integer of 64 bits, as an array of one over it."""
-    at = port.at[i]
-    return port.data[at : at + 8].view(np.int64)
+    view: NDArray[np.int64] = overlay(port.data, port.at[i], 1, np.int64)
+    return view
 
 
 @njit()
 def half_word(port: Port, i: int) -> NDArray[np.int32]:
     """Return the i-th of the port's values, an integer of 32 bits, as an array of one over it."""
-    at = port.at[i]
-    return port.data[at : at + 4].view(np.int32)
+    view: NDArray[np.int32] = overlay(port.data, port.at[i], 1, np.int32)
+    return view
 
 
 @njit()

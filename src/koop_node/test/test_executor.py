@@ -7,6 +7,8 @@ import rclpy
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from koop_core.port import IDLE, MORE
+from koop_core.wakeup import wait
 from koop_node.node.entities import WithoutEvents
 from koop_node.node.executor import AT_ONCE, Executor
 
@@ -66,6 +68,31 @@ def test_services_and_clients_that_share_a_descriptor_answer_each_other(node, ex
     futures = [client.call_async(Trigger.Request()) for client in clients * 3]
     run_until(executor, lambda: all(future.done() for future in futures))
     assert sorted(future.result().message for future in futures) == list("123456")
+
+
+def test_compiled_code_wakes_for_its_messages_and_leaves_all_else_to_python(node, executor):
+    heard, calls = [], []
+    hot = node.create_subscription(Float64, "hot", heard.append, 10)
+    publisher = node.create_publisher(Float64, "hot", 10)
+    node.create_subscription(Float64, "other", calls.append, 10)
+    other = node.create_publisher(Float64, "other", 10)
+    run_until(executor, publisher.get_subscription_count)
+    run_until(executor, other.get_subscription_count)
+
+    def wait_for(seconds):
+        return wait(executor.wakeup([hot], time.monotonic() + seconds))
+
+    publisher.publish(Float64(data=1.0))
+    assert wait_for(60.0) == MORE
+    assert wait_for(0.01) == IDLE  # it is woken once
+    executor.run(0.0)
+    assert not heard  # nobody but the code is told
+    executor.look_again([hot])  # which has left it
+    run_until(executor, lambda: heard)
+    other.publish(Float64())
+    assert wait_for(60.0) == IDLE
+    run_until(executor, lambda: calls)
+    assert wait_for(-1.0) == IDLE
 
 
 def test_what_a_callback_destroys_is_not_called_and_what_it_makes_is(node, executor):

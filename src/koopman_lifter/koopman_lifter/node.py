@@ -38,6 +38,7 @@ from koopman_lifter.stage import (
     UNUSABLE,
     LifterProgress,
     LifterStage,
+    answer_next,
 )
 
 
@@ -271,9 +272,11 @@ class LifterRun(Run):
     def lend(self, rehearsal: bool) -> tuple[LifterStage, LifterProgress] | None:
         """Return what :func:`koopman_lifter.stage.answer_next` needs; None: it cannot go on."""
         reader, writer, answer = self.reader, self._publisher, self._answer
+        if self._foreign is not None or self._signal is not None:
+            return None
         joined = self._input.steady and not (self._state.settling or self._filling())
         source = target = NO_PORT
-        if reader is not None and writer is not None and self._signal is None and joined:
+        if reader is not None and writer is not None and joined and answer.lockstep:
             state = codec(MeasuredState).new()
             state.header, state.x = answer.header, [0.0] * self._n
             source, target = reader.port(state, STATE), writer.port(answer, COST)
@@ -290,13 +293,13 @@ class LifterRun(Run):
         )  # fmt: skip
         return stage, LifterProgress(answer.step, self._state, tally)
 
-    def take_back(self, before: LifterProgress, after: LifterProgress) -> None:
+    def take_back(self, before: LifterProgress, after: LifterProgress, now: float) -> None:
         """Go on where the compiled code ended."""
         if (count := after.step - before.step) and self._publisher is not None:
             self._state, self._answer = after.detector, self._publisher.last()
             self._watch.take_back(after.tally)
             stamp = to_seconds(self._answer.header.stamp)
-            self._input.follow_on(count, stamp, time.monotonic())
+            self._input.follow_on(count, stamp, now)
 
     def handle(self, reason: int) -> None:
         super().handle(reason)
@@ -379,6 +382,7 @@ class LifterNode(ManagedNode[LifterRun]):
     """
 
     configs = (LifterConfig, ModelConfig, ListenersConfig)
+    stage = answer_next
 
     def __init__(self, name: str = "koopman_lifter", **options: Any) -> None:
         super().__init__(name, LifterRun, **options)

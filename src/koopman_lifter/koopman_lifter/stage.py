@@ -31,7 +31,7 @@ from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspac
 
 STATE = ("step", "lockstep", "x")
 COST = ("step", "r", "y_out", "settling")
-UNUSABLE, CHANGED = MORE + 1, MORE + 2
+UNUSABLE, CHANGED = FAILED + 1, FAILED + 2
 """Reasons to stop after a state: there is no cost of it; the watch has found something."""
 
 

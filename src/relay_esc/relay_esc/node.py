@@ -28,7 +28,7 @@ from koop_node.node.wire import codec
 from relay_esc import barrier, directions, relay
 from relay_esc.config import EscConfig
 from relay_esc.level import CostLevel
-from relay_esc.stage import COST, THETA, ControllerProgress, ControllerStage
+from relay_esc.stage import COST, THETA, ControllerProgress, ControllerStage, answer_next
 
 
 class EscRun(Run):
@@ -46,7 +46,7 @@ class EscRun(Run):
         self._take_parameters()
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
-        self._hold_asked = False
+        self._hold_asked = self._lockstep = False
         self._publisher: Writer | None = None
         # for the types that messages bring, and compiled before the first of them
         first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
@@ -146,7 +146,7 @@ class EscRun(Run):
         )
 
     def _process(self, cost: Any, arrival: Arrival) -> None:
-        origin = (cost.source, cost.model_id)
+        origin, self._lockstep = (cost.source, cost.model_id), cost.lockstep
         switched, self._origin = origin != self._origin, origin
         if switched or arrival in (Arrival.RESTART, Arrival.JOIN):
             self._begin_level()
@@ -179,7 +179,9 @@ class EscRun(Run):
     def lend(self, rehearsal: bool) -> tuple[ControllerStage, ControllerProgress] | None:
         """Return what :func:`relay_esc.stage.answer_next` needs; None where it cannot go on."""
         reader, writer, level = self.reader, self._publisher, self._level
-        plain = not self._several and self._input.steady
+        if self._several:
+            return None
+        plain = self._lockstep and self._input.steady
         source, model_id = self._origin or (0, "")
         taken = given = NO_PORT
         if reader is not None and writer is not None and plain:
@@ -195,14 +197,14 @@ class EscRun(Run):
         step = self._answer.step
         return stage, ControllerProgress(step, self._state, self._barrier, level.sum, level.count)
 
-    def take_back(self, before: ControllerProgress, after: ControllerProgress) -> None:
+    def take_back(self, before: ControllerProgress, after: ControllerProgress, now: float) -> None:
         """Go on where the compiled code ended."""
         if (count := after.step - before.step) and self._publisher is not None:
             self._state, self._barrier = after.relay, after.barrier
             self._answer, self._level.sum = self._publisher.last(), after.level_sum
             self._level.count = after.level_count
             stamp = to_seconds(self._answer.header.stamp)
-            self._input.follow_on(count, stamp, time.monotonic())
+            self._input.follow_on(count, stamp, now)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]
@@ -234,6 +236,7 @@ class EscNode(ManagedNode[EscRun]):
     """
 
     configs = (EscConfig, ListenersConfig)
+    stage = answer_next
 
     def __init__(self, name: str = "relay_esc", **options: Any) -> None:
         super().__init__(name, EscRun, **options)

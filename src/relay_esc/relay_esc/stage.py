@@ -29,7 +29,7 @@ from relay_esc import barrier, relay
 from relay_esc.barrier import BarrierParams, BarrierState
 from relay_esc.relay import RelayParams, RelayState
 
-COST = ("step", "dt", "r", "source", "settling", "margin", "model_id")
+COST = ("step", "dt", "r", "source", "settling", "margin", "model_id", "lockstep")
 THETA = (
     "step", "theta", "epsilon", "cost_rise_filtered", "saturated", "holding", "swing", "gradient",
     "noise", "confidence",
@@ -87,6 +87,7 @@ def answer_next(
     r = floats(port, 2, 1)[0]
     plain = word(port, 0)[0] == step and floats(port, 1, 1)[0] == stage.dt and math.isfinite(r)
     plain = plain and port.data[port.at[3]] == stage.source and port.data[port.at[4]] == 0
+    plain = plain and port.data[port.at[7]] == 1
     plain = plain and progress.level_count < stage.level_most
     for i in range(stage.model_id.size):
         plain = plain and port.data[port.at[6] + i] == stage.model_id[i]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from itertools import pairwise
@@ -17,6 +16,7 @@ from koop_core.config.describe import ARGUMENTS
 from koop_core.config.parameter import ConfigError
 from koop_node.node.main import run_nodes
 from koop_node.node.managed import ManagedNode
+from koop_node.node.stages import Stages, stages_of_one
 
 
 def components() -> dict[str, EntryPoint]:
@@ -48,12 +48,12 @@ def make(words: Sequence[str]) -> list[ManagedNode[Any]]:
     return list(nodes.values())
 
 
-def shortcuts(nodes: list[ManagedNode[Any]]) -> list[Callable[[], None]]:
-    """Return what installed packages call after the callbacks of nodes that share a process."""
-    if os.environ.get("KOOP_COMPILED") == "0":
-        return []
-    found = [entry.load()(nodes) for entry in entry_points(group="koop_shortcuts")]
-    return [shortcut for each in found for shortcut in each]
+def find_stages(nodes: list[ManagedNode[Any]]) -> list[Stages]:
+    """Return the compiled stages that installed packages know of nodes that share a process."""
+    if len(nodes) == 1:
+        return stages_of_one(nodes)
+    found = [entry.load()(nodes) for entry in entry_points(group="koop_stages")]
+    return [stages for each in found for stages in each]
 
 
 def hint(arguments: Sequence[str], nodes: Sequence[str]) -> str:
@@ -82,4 +82,4 @@ def main() -> int:
         "@NAMESPACE: in that namespace, such as @/rig",
     )
     options = parser.parse_args(remove_ros_args()[1:])
-    return run_nodes(partial(make, options.components), shortcuts=shortcuts)
+    return run_nodes(partial(make, options.components), find_stages=find_stages)

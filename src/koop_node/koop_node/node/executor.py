@@ -16,17 +16,20 @@ import ctypes
 import os
 import resource
 import select
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
 from typing import Any
 
+import numpy as np
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
+
+from koop_core.wakeup import Wakeup
 
 RCLError = rclpy_implementation.RCLError
 AT_ONCE = 50  # messages of one entity before others have their turn
@@ -92,6 +95,21 @@ class Executor:
                 else:
                     if most == AT_ONCE:  # there may be more
                         os.eventfd_write(descriptor, max(count - most, 1))
+
+    def wakeup(self, subscriptions: Sequence[Subscription], until: float) -> Wakeup:
+        """Return how compiled code waits for messages of some, at most to a steady time [s]."""
+        if self._changed:
+            self._follow()
+        descriptors = [self._descriptors[each] for each in subscriptions]
+        return Wakeup(
+            *_waiting(), self._epoll.fileno(), np.array(descriptors, np.int64), until,
+            np.zeros(4, np.int64),
+        )  # fmt: skip
+
+    def look_again(self, subscriptions: Sequence[Subscription]) -> None:
+        """Look for messages of subscriptions, of which compiled code may have left some."""
+        for each in subscriptions:
+            os.eventfd_write(self._descriptors[each], AT_ONCE)
 
     def _follow(self) -> None:
         """Listen to what the nodes have now."""
@@ -200,6 +218,17 @@ def _setters() -> dict[type, Any]:
 @cache
 def _eventfd_write() -> Any:
     return ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
+
+
+@cache
+def _waiting() -> tuple[int, int, int]:
+    """Return the addresses of the functions of a :class:`koop_core.wakeup.Wakeup`."""
+    libc = ctypes.CDLL(None)
+
+    def address(function: Any) -> int:
+        return ctypes.cast(function, ctypes.c_void_p).value or 0
+
+    return address(libc.clock_gettime), address(libc.epoll_wait), address(libc.read)
 
 
 def _notify(entity: Any, function: Any, descriptor: int | None) -> None:

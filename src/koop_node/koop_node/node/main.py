@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import signal
 import sys
 import time
@@ -22,6 +23,7 @@ from koop_node.node import schedule
 from koop_node.node.dds_profile import set_dds_profile
 from koop_node.node.executor import Executor
 from koop_node.node.managed import ManagedNode
+from koop_node.node.stages import Stages, stages_of_one
 from koop_node.process.housekeeping import Housekeeping
 from koop_node.process.lifeline import end_with_parent
 from koop_node.process.realtime import apply_priority
@@ -54,7 +56,7 @@ def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> in
 def run_nodes(
     make: Callable[[], list[ManagedNode[Any]]],
     args: list[str] | None = None,
-    shortcuts: Callable[[list[ManagedNode[Any]]], list[Callable[[], None]]] = lambda nodes: [],
+    find_stages: Callable[[list[ManagedNode[Any]]], list[Stages]] = stages_of_one,
 ) -> int:
     """Run nodes on one executor until one finishes or the process is told to stop.
 
@@ -62,7 +64,7 @@ def run_nodes(
     is interrupted and the context stays valid for the last publications.
 
     ``make`` returns the nodes, those that listen before those that speak; rclpy is ready then.
-    ``shortcuts`` returns what is called after the callbacks of what has come.
+    ``find_stages`` returns their compiled stages; ``KOOP_COMPILED=0`` does without them.
 
     Returns
     -------
@@ -86,14 +88,15 @@ def run_nodes(
             print(f"error: {_one_line(error)}", file=sys.stderr)
             rclpy.try_shutdown()
             return 2
-        return _spin(nodes, priority, timers, shortcuts(nodes))
+        without = os.environ.get("KOOP_COMPILED") == "0"
+        return _spin(nodes, priority, timers, [] if without else find_stages(nodes))
 
 
 def _spin(
     nodes: list[ManagedNode[Any]],
     priority: int,
     timers: schedule.Schedule,
-    shortcuts: list[Callable[[], None]],
+    stages: list[Stages],
 ) -> int:
     """Run nodes until one finishes or the schedule is asked to end; return the exit code."""
     executor = Executor()
@@ -106,16 +109,17 @@ def _spin(
     try:
         while not (ended or (timers.asked and all([node.may_end(timers.asked) for node in nodes]))):
             timers.run_due()
-            wait = timers.wait(POLL)
-            house.tidy(time.monotonic(), wait)
+            now, wait = time.monotonic(), timers.wait(POLL)
+            house.tidy(now, wait)
             if not asked and all(node.active for node in nodes):
                 asked = True
                 house.settle()  # numba and the kernels have come with the nodes' configuration
                 for problem in apply_priority(priority):
                     nodes[0].get_logger().warning(problem)
-            executor.run(wait)
-            for go_on in shortcuts:
-                go_on()
+            for each in stages:  # several do not wait for each other
+                each(executor, now + wait if len(stages) == 1 else 0.0)
+            left = now + wait - time.monotonic()
+            executor.run(0.0 if timers.ended else max(left, 0.0))
             if timers.ended:
                 ended = [node for node in nodes if node.exit_code is not None]
         if ended:

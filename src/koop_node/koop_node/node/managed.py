@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile
 from koop_core.config.fields import check_type
 from koop_core.config.parameter import ConfigError, NodeConfig
 from koop_core.errors import KoopError
+from koop_core.kernels import Kernel
 from koop_core.port import OTHER
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import ERROR, OK, STALE, WARN, News, NodeFinding, summary
@@ -88,8 +89,8 @@ class Run:
         """
         return None
 
-    def take_back(self, before: Any, after: Any) -> None:
-        """Take what has changed of what was lent."""
+    def take_back(self, before: Any, after: Any, now: float) -> None:
+        """Take what has changed of what was lent, up to a steady time [s]."""
 
     def handle(self, reason: int) -> None:
         """Do what compiled code has left to do; see :mod:`koop_core.port` and the node's stage."""
@@ -113,6 +114,8 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
 
     configs: ClassVar[tuple[type, ...]] = ()
     """Configurations of its parameters, besides NodeConfig."""
+    stage: ClassVar[Kernel | None] = None
+    """Its messages' compiled way; see :mod:`koop_node.node.stages`."""
 
     def __init__(
         self, name: str, make_run: Callable[[Any, Entities], RunT], **options: Any

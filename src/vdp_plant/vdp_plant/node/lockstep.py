@@ -112,10 +112,11 @@ class LockstepRun(PlantRun):
     def lend(self, rehearsal: bool) -> tuple[PlantStage, PlantProgress] | None:
         """Return what :func:`vdp_plant.stage.step_next` needs; None where it cannot go on."""
         reader, outlets, question = self.reader, self._outlets, self._question
+        if len(self._theta) > 1 or (outlets is not None and outlets.clock is not None):
+            return None
         plain = question.open and not question.overdue and self._node.exit_code is None
-        plain = plain and len(self._theta) == 1 and self._input.steady
         taken = state = truth = NO_PORT
-        if reader is not None and outlets is not None and outlets.clock is None and plain:
+        if reader is not None and outlets is not None and plain and self._input.steady:
             theta = codec(ControlInput).new()
             theta.header, theta.theta = self._state_message.header, [0.0]
             taken = reader.port(theta, THETA)
@@ -128,12 +129,11 @@ class LockstepRun(PlantRun):
             self._k, self._x, self._y, self._theta[0], self._theta_applied[0]
         )
 
-    def take_back(self, before: PlantProgress, after: PlantProgress) -> None:
+    def take_back(self, before: PlantProgress, after: PlantProgress, now: float) -> None:
         """Go on where the compiled code ended."""
         outlets, count = self._outlets, after.k - before.k
         if not count or outlets is None:
             return
-        now = time.monotonic()
         self._compiled += count
         self._k, self._x, self._y, self._theta[0], self._theta_applied[0] = after
         self._theta_step = self._k - 1
