@@ -155,12 +155,3 @@ def test_rests_of_a_map_that_moves_are_where_they_would_be_now():
     at = np.array([moved.u[rest.level] for rest in moved.rests])
     assert at - values == pytest.approx(way * np.linspace(1.0, 0.0, 17), abs=0.03)
     assert moved.static_map(logs, 1.0).best() == static_map.best()
-
-
-@pytest.mark.parametrize(("level", "growth"), [(0.0, 0.0), (2.0, 6.0)])
-def test_the_longest_growth_is_the_longest_rest_of_which_the_beginning_was_less(level, growth):
-    logs = [np.zeros(20) for _ in range(9)]
-    logs[4][:3] -= level  # 3 windows of 2 s
-    logs[5][:9] += 3.0  # falls
-    rests = [Rest(i, 0, 2000, skip) for i, skip in enumerate([0, 0, 0, 0, 3, 9, 0, 0, 0])]
-    assert make_dwells(rests, logs, 100).longest_growth() == pytest.approx(growth)

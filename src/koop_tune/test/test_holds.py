@@ -16,6 +16,7 @@ from koop_tune.excitation.holds import (
     count_alike,
     find_level,
     find_proven,
+    longest_growth,
     mean_level,
     standard_error,
     usual_wander,
@@ -142,7 +143,7 @@ def visit(stays, edge=0.1, gain=0.25, noise=0.02):
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_a_short_hold_from_a_quiet_place_does_not_count_where_an_oscillation_may_grow(sense):
     stays = [(0.0, 20), (1.0, 20), (0.5, 200), (0.38, 20), (0.3, 250), (0.9, 12), (0.57, 120),
-             (0.54, 12), (0.62, 12), (0.7, 12)]  # fmt: skip
+             (0.54, 12), (0.62, 60), (0.7, 12)]  # fmt: skip
     u, levels, truth = visit(stays)
     levels = [replace(x, mean=sense * x.mean, rise=sense * x.rise) for x in levels]
     false = np.abs(sense * np.array([x.mean for x in levels]) - truth) > 1.0
@@ -150,14 +151,18 @@ def test_a_short_hold_from_a_quiet_place_does_not_count_where_an_oscillation_may
     assert (find_proven(u, levels, sense) == ~false).all()
 
 
-def test_holds_count_where_no_growth_was_seen_or_nothing_is_far_worse():
+def test_holds_count_where_no_growth_was_seen_or_nothing_is_far_worse_further_out():
+    def proven(*levels):
+        return find_proven(np.array([0.5, 0.3, 0.1, 0.4, 0.9]), levels, 1.0).tolist()
+
     def level(mean, count, skip=0, rise=0.0):
         return Level(mean, 0.1, skip, count, rise, 0.0)
 
-    u = np.array([0.5, 0.3, 0.1, 0.4])
-    quiet, short = level(0.0, 40), level(0.2, 8)
-    far, near, even = level(3.0, 40, 20, 2.9), level(1.0, 40, 20, 0.9), level(3.0, 40)
-    assert find_proven(u, [quiet, short, far, quiet]).tolist() == [True, False, True, True]
-    assert find_proven(u, [quiet, short, near, quiet]).all()
-    assert find_proven(u, [quiet, short, even, quiet]).all()
-    assert find_proven(np.empty(0), []).size == 0
+    quiet, short, even = level(0.0, 40), level(0.2, 8), level(3.0, 40)
+    grew, slightly = level(3.0, 40, 20, 2.9), level(1.0, 40, 20, 0.9)
+    assert longest_growth([quiet, grew, level(0.0, 60, 30, -3.0)], 1.0) == 20
+    assert proven(quiet, short, grew, quiet, short) == [True, False, True, True, True]
+    assert all(proven(quiet, short, slightly, quiet, short))
+    assert all(proven(quiet, short, even, quiet, short))
+    assert all(proven(level(2.0, 8), level(1.0, 8), grew, quiet, short))  # it was not quiet before
+    assert find_proven(np.empty(0), [], 1.0).size == 0

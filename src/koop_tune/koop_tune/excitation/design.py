@@ -500,7 +500,7 @@ class Design:
         skips = [level.skip if abs(level.rise) > self._target else 0 for level in levels]
         settling = float(np.quantile(skips, s.usual)) * s.reserve  # a slight change is none
         if self._growth:
-            settling = max(settling, s.growth * longest_growth(levels))
+            settling = max(settling, s.growth * longest_growth(levels, self.rig.sense))
         return math.ceil(settling) + least
 
     def take(self, x: Array) -> bool:

@@ -189,14 +189,12 @@ def mean_level(squares: Array, floor: float = 0.0) -> tuple[float, float]:
     return 0.5 * math.log(mean), 0.5 * float(standard_error(squares[:, None])[0]) / mean
 
 
-def longest_growth(levels: Sequence[Level], sense: float = 1.0) -> int:
+def longest_growth(levels: Sequence[Level], sense: float) -> int:
     """Return the most windows in which a level was seen to become worse."""
     return max((x.skip for x in levels if sense * x.rise > HOLDS.grown), default=0)
 
 
-def find_proven(
-    u: Array, levels: Sequence[Level], sense: float = 1.0, settings: HoldSettings = HOLDS
-) -> NDArray[np.bool_]:
+def find_proven(u: Array, levels: Sequence[Level], sense: float) -> NDArray[np.bool_]:
     """Return which holds, in the order of time, tell what the rig comes to where they are.
 
     A rig that was quiet before is quiet for a while wherever theta goes: near the edge of a valley
@@ -212,10 +210,8 @@ def find_proven(
         Their levels.
     sense : float
         +1 if little is wanted, else -1.
-    settings : HoldSettings
-        What is quiet.
     """
-    far = math.log(settings.far)
+    far = math.log(HOLDS.far)
     y, count = np.array([(sense * x.mean, x.count) for x in levels]).reshape(-1, 2).T
     before = np.r_[math.inf, y[:-1]]
     sure = (before - y > far) | (count >= longest_growth(levels, sense))

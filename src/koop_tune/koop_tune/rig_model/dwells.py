@@ -14,10 +14,10 @@ from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, list_segments
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.holds import (
-    HOLDS,
     Hold,
     find_level,
     find_proven,
+    longest_growth,
     mean_level,
     usual_wander,
 )
@@ -86,12 +86,15 @@ class Dwells:
         What is summed.
     logs : list of ndarray
         Its logarithm in each window of each rest.
+    growth : float
+        Longest time [s] in which it was seen to become worse.
     """
 
     u: NDArray[np.float64]
     rests: list[Rest]
     amplitude: Amplitude
     logs: list[NDArray[np.float64]]
+    growth: float = 0.0
 
     @property
     def length(self) -> int:
@@ -122,15 +125,6 @@ class Dwells:
         u, level = np.unique(found.u, return_inverse=True)
         rests = [rest._replace(level=int(i)) for rest, i in zip(self.rests, level, strict=True)]
         return found, replace(self, u=u, rests=rests)
-
-    def longest_growth(self) -> float:
-        """Return the longest time [s] in which an oscillation grew."""
-        rises = [
-            rest.skip * self.amplitude.windows.seconds
-            for rest, logs in zip(self.rests, self.logs, strict=True)
-            if logs[rest.skip :].mean() - logs[0] > HOLDS.grown
-        ]
-        return max(rises, default=0.0)
 
     def window_levels(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Return half the logarithm of the mean square of a signal, shape (M,), in each window."""
@@ -241,7 +235,8 @@ def find_dwells(loaded: Loaded, scale: Scale, amplitude: Amplitude, sense: float
         for rest, level, part, counts in columns if counts
     ]  # fmt: skip
     u, rests = _only_held(u, [rest for rest, _ in found])
-    return Dwells(u, rests, amplitude, [logs for _, logs in found])
+    growth = longest_growth(levels, sense) * amplitude.windows.seconds
+    return Dwells(u, rests, amplitude, [logs for _, logs in found], growth)
 
 
 def find_holds(

@@ -173,7 +173,7 @@ def analyse(
     findings = Findings(
         scale, dwells, static_map, period, amplitude.name(rig.names), rig.names, candidates,
         limit_theta(static_map, rig, settings, safe), amplitude.modes(powers),
-        dwells.longest_growth(), safe=safe,
+        dwells.growth, safe=safe,
         speed=static_map.motion / max(float(np.ptp(dwells.middles)) * dt, dt),
     )  # fmt: skip
     return decide(findings, rig, settings)
