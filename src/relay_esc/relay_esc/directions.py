@@ -42,7 +42,7 @@ class DirectionSettings(Settings):
 
     legs: int = judged(3, "legs along a direction; an odd number alternates its sense", low=1)
     progress: float = judged(
-        1.0, "least way of a round that becomes a direction", unit="swing", low=0.0
+        0.5, "least way of a round that becomes a direction", unit="swing", low=0.0
     )
 
 
@@ -254,12 +254,20 @@ def travel(k: Knobs, state: DirectionState) -> int:
 
 
 @njit()
+def falls(swing: Swing) -> bool:
+    """Return whether the leg's level is nearer to its least than where it began; one of none is."""
+    fallen = swing.begin - swing.lowest
+    return swing.lowest == math.inf or swing.level - swing.lowest <= 0.5 * fallen
+
+
+@njit()
 def switch(
     p: RelayParams, k: Knobs, state: DirectionState, line: RelayParams, turned: float, at_end: bool
 ) -> DirectionState:
     """Leave the direction for the next one; the relay stays where the cost fell up to a limit.
 
-    ``line`` has the limits of s, ``turned`` is s where the leg that has ended began.
+    ``line`` has the limits of s, ``turned`` is s where the leg that has ended began. A leg that
+    has only not turned yet reaches a limit, too: the cost must have fallen until there.
     """
     relay_state, own = state.relay, state.own
     swing, s = relay_state.swing, relay_state.u
@@ -332,7 +340,7 @@ def answer(
         state.output[0], state.theta[0] = after.commanded, after.output
         return state, holding, saturated
     down, dwelt = after.epsilon > 0, after.since_flip >= p.dwell_samples
-    at_end = dwelt and after.u == (line.u_min if down else line.u_max)
+    at_end = dwelt and after.u == (line.u_min if down else line.u_max) and falls(after.swing)
     if legs == DIRECTIONS.legs or at_end:
         state = switch(p, k, state, line, before.swing.turned, at_end)
     saturated = False

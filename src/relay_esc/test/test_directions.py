@@ -83,17 +83,22 @@ def test_limits_and_rates_hold_whatever_the_cost_does(n: int) -> None:
     assert swept > 0.0  # every knob was moved
 
 
-def seek(m: Array, u_star: Array, u: Array, steps: int) -> Array:
-    """Seek on r = |M (u - u*)|^2 + 0.01; return the mean of the knobs in the last third."""
-    n = u.size
-    p, knobs = config(step_size=0.1 / 20).params(DT), knobs_of(n)
+def seek(
+    m: Array, u_star: Array, u: Array, steps: int, crossing: float = 20.0, floor: float = 0.01,
+    noise: float = 0.0,
+) -> Array:  # fmt: skip
+    """Seek on r = |M (u - u*)|^2 + floor; return the mean of the knobs in the last third.
+
+    A knob crosses its range in ``crossing`` dwell times; ``noise`` is of ln r.
+    """
+    n, rng = u.size, np.random.default_rng(0)
+    p, knobs = config(step_size=2.0 / crossing / 20.0).params(DT), knobs_of(n)
     state, where = start(u, np.ones(n, dtype=np.int64)), []
     for k in range(steps):
         e = m @ (state.output - u_star)
         arrival = NEXT if k else RESTART
-        state, _, _ = directions.answer(
-            p, knobs, state, arrival, False, False, float(e @ e) + 0.01, False
-        )
+        r = (float(e @ e) + floor) * math.exp(noise * rng.standard_normal())
+        state, _, _ = directions.answer(p, knobs, state, arrival, False, False, r, False)
         where.append(state.output.copy())
     assert np.allclose(state.directions @ state.directions.T, np.eye(n), atol=1e-9)
     return np.asarray(where[-steps // 3 :]).mean(axis=0)
@@ -106,6 +111,14 @@ def test_coupled_knobs_of_unequal_worth_find_their_optimum(seed: int) -> None:
     m, u_star = np.diag([1.0, 0.2]) @ q, rng.uniform(-0.6, 0.6, 2)
     at = seek(m, u_star, rng.uniform(-0.9, 0.9, 2), 8_000)
     assert np.linalg.norm(m @ (at - u_star)) < 0.05  # of a floor of 0.1
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_knobs_leave_a_corner_although_each_leg_reaches_a_limit(sense: float) -> None:
+    m = np.array([[0.8, 0.6], [-0.3, 0.4]])  # a valley from one corner to the other
+    u_star = sense * np.array([0.3, -0.3])
+    at = seek(m, u_star, sense * np.array([1.0, -1.0]), 12_000, 4.0, floor=0.5, noise=0.3)
+    assert np.linalg.norm(m @ (at - u_star)) < 0.35  # of 0.5 in the corner
 
 
 def test_a_knob_that_does_nothing_does_not_keep_the_other_from_its_optimum() -> None:
