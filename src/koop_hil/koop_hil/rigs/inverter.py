@@ -1,8 +1,9 @@
 """A grid-following inverter on a weak line, by DPsim: noise of the grid shakes its power.
 
 Theta is the proportional gain of its power loop: too little lets the power swing slowly, too much
-excites a fast mode. The other gains are of DPsim's 400 V, 10 kVA example, whose line is shorter.
-``--at`` sets ``kp_pll``, which could be a second theta, and ``p_ref`` [W], which moves the optimum.
+excites a fast mode. The phase-locked loop's, ``kp_pll``, is a second knob; the two are coupled. The
+other gains are of DPsim's 400 V, 10 kVA example, whose line is shorter. ``--at`` sets ``p_ref``
+[W], which moves the optimum, or ``kp_pll``.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Inverter:
         If DPsim is not installed, or ``--at`` names what it does not have.
     """
 
-    dt, message, topics = DT, "JointState", ("inverter", "kp_power")
+    dt, message, topics = DT, "JointState", ("inverter", "kp_power", "kp_pll")
 
     def __init__(self, args: argparse.Namespace) -> None:
         try:

@@ -48,13 +48,14 @@ class SimulatedRig(Protocol):
     message : str
         Type of the measurements, a key of ``wire.MESSAGES``.
     topics : tuple of str
-        Topics of measurements and command, unless the command line names others.
+        Topics of measurements and command, unless the command line names others; further ones, of
+        other knobs, are called as :meth:`set` knows them.
     """
 
     dt: float
     actuation: Actuation
     message: str
-    topics: tuple[str, str]
+    topics: tuple[str, ...]
 
     def measure(self, t: float, rng: random.Random) -> tuple[Sequence[float], Sequence[float]]:
         """Return what the sensors say at a time [s], and the true state."""
@@ -63,7 +64,7 @@ class SimulatedRig(Protocol):
         """Go on by one sample; raise ValueError if the rig breaks."""
 
     def set(self, name: str, value: float) -> None:
-        """Set what ``--at`` names; by default there is nothing to set."""
+        """Set what ``--at`` or another knob's topic names; by default there is nothing."""
         raise ValueError(f"--at: this rig has no {name!r}")
 
 
@@ -93,7 +94,8 @@ def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
     from rig_log import Log
     from wire import Wire  # Cyclone DDS: a wrong argument is reported without it
 
-    wire = Wire(args.state or rig.topics[0], args.theta or rig.topics[1], rig.message, args.truth)
+    state, theta, *others = rig.topics
+    wire = Wire(args.state or state, args.theta or theta, rig.message, args.truth, others)
     stop: list[object] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(True))
@@ -130,6 +132,8 @@ def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
                 command = wanted
             elif 0 <= k - step <= OLDEST * args.scale / rig.dt:  # not kept while a link was cut
                 command, answered = wanted, step
+        for name, value in wire.others():
+            rig.set(name, value)
         while changes and changes[0].time <= t:
             rig.set(*changes.pop(0)[1:])
         k += 1

@@ -157,9 +157,13 @@ class Wire:
         Type of the measurements, a key of :data:`MESSAGES`.
     truth : bool
         Whether the true state of each sample is published, too.
+    others : sequence of str
+        Topics of other knobs, a Float64 each.
     """
 
-    def __init__(self, state: str, theta: str, message: str, truth: bool) -> None:
+    def __init__(
+        self, state: str, theta: str, message: str, truth: bool, others: Sequence[str] = ()
+    ) -> None:
         kind, self._made, command = MESSAGES[message]
         command = ControlInput if theta == "theta" else command
         participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
@@ -172,6 +176,10 @@ class Wire:
             topic = Topic(participant, "rt/ground_truth", PlantTruth)
             self._truths = DataWriter(participant, topic, kept)
         self._commands = DataReader(participant, Topic(participant, "rt/" + theta, command), newest)
+        self._others = {
+            name: DataReader(participant, Topic(participant, "rt/" + name, Float64), newest)
+            for name in others
+        }
 
     @property
     def readers(self) -> int:
@@ -200,3 +208,12 @@ class Wire:
             elif isinstance(sample, Float64) and math.isfinite(sample.data):
                 commands.append((sample.data, None))
         return commands
+
+    def others(self) -> list[tuple[str, float]]:
+        """Return what came for the other knobs, each with the topic's name."""
+        return [
+            (name, sample.data)
+            for name, reader in self._others.items()
+            for sample in reader.take()
+            if isinstance(sample, Float64) and math.isfinite(sample.data)
+        ]
