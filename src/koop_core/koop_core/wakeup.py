@@ -1,7 +1,4 @@
-"""How a compiled stage by itself waits for its next message, until Python is due. Pure.
-
-The functions are libc's.
-"""
+"""How compiled code waits for its next message, until Python is due, by libc. Pure."""
 
 from __future__ import annotations
 

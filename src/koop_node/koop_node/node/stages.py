@@ -17,8 +17,9 @@ from koop_core.port import FAILED, IDLE
 from koop_core.wakeup import alone
 from koop_node.node.executor import Executor
 from koop_node.node.managed import ManagedNode
+from koop_node.process.housekeeping import release_compiler
 
-MOST = 500  # messages of a call: others and timers wait for so long, where it does not
+MOST = 500  # messages of a call: for so long timers and others may wait
 
 
 def stages_of_one(nodes: Sequence[ManagedNode[Any]]) -> list[Stages]:
@@ -53,6 +54,7 @@ class Stages:
             progress.append(lent[1])
         if not self._rehearsed:  # compiled before the first message: it takes seconds
             self._kernel(0, executor.wakeup([], until), *stages, *progress)
+            release_compiler()
             self._rehearsed = True
             return
         inputs = [run.reader.subscription for run in runs]
@@ -60,7 +62,7 @@ class Stages:
         reached = self._kernel(MOST, wakeup, *stages, *progress)
         now = time.monotonic()
         if all(reason == IDLE for reason, _ in reached):
-            now = min(now, wakeup.memory[0] + wakeup.memory[1] * 1e-9)
+            now = wakeup.memory[0] + wakeup.memory[1] * 1e-9
         else:
             executor.look_again(inputs)
         for run, before, (_, after) in zip(runs, progress, reached, strict=True):
