@@ -25,6 +25,11 @@ from koop_core.config.describe import parameters_of
 from koop_loop import parameters as loop_parameters
 from koop_loop.parameters import make
 from koop_loop.training import TrainingConfig, train
+from koopman_lifter.contrast import moments, with_contrast
+from koopman_lifter.delays import Delays
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import build
+from koopman_lifter.observables import Monomials
 from vdp_plant.config import PlantConfig
 
 NODES = ("vdp_plant", "koopman_lifter", "relay_esc", "recorder")
@@ -432,30 +437,57 @@ def test_the_first_state_waits_for_no_compilation():
     assert done.returncode == 0, done.stderr
 
 
-def test_a_rig_that_has_changed_is_reported(fresh_lifter, probe):
-    """An oscillation of 10 Hz, 20 samples a period, moves by a tenth."""
-    reports, phase, step = probe.collect(DiagnosticArray, "/diagnostics"), 0.0, 0
-    assert set_parameters(probe, "koopman_lifter", cost="raw").successful
+def swinging(hertz, tone, periods):
+    """Return an oscillation that is sought up and down, in interference, and its amplitude."""
+    t = 0.05 * np.arange(round(periods / (hertz * 0.05)))
+    amplitude = 0.6 + 0.3 * np.sin(2.0 * np.pi * hertz * t / 97.0) + 0.1 * np.sin(0.13 * t)
+    x = amplitude * np.sin(2.0 * np.pi * hertz * t)
+    x += 2.0 * (1.0 + 0.3 * np.sin(0.21 * t)) * np.sin(2.0 * np.pi * tone * t)
+    return x + 0.02 * np.random.default_rng(0).standard_normal(t.size), amplitude
+
+
+def test_a_rig_that_has_changed_is_reported_and_a_better_model_proposed(start, probe, tmp_path):
+    """An oscillation of 1 Hz moves by a fifth, and interference with it."""
+    (x, amplitude), delays, path = swinging(1.0, 2.6, 600), Delays(1, 4), tmp_path / "model.npz"
+    gram, starts = Gram.empty(Monomials(4, 1)), np.arange(0, x.size - 160, 160)
+    gram.add_trajectory(delays.embed(x[None]))
+    learned = build(gram, 0.05, ("a",), 4, {}, delays)
+    with_contrast(learned, *moments(x[None], starts, 160, delays), amplitude[starts]).save(path)
+    process = start("koopman_lifter", model=path, dt=0.05, omega_h=6.0, omega_l=1.0)
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    lifter = Ask(probe, MeasuredState, "state", Cost, "cost")
+    step = 0
 
     def said(words):
         status = [s for r in reports for s in r.status if "lifter" in s.name]
         return any(words in s.message or words in {v.key for v in s.values} for s in status)
 
-    def swing(hertz, samples):
-        nonlocal phase, step
-        for _ in range(samples):
-            step, phase = step + 1, phase + 2.0 * math.pi * 0.005 * hertz
-            size = 1.5 + math.sin(0.02 * phase)
-            fresh_lifter(step, x=[size * math.cos(phase), size * math.sin(phase)])
+    def answered():
+        return len(lifter.answers) == step
 
-    while not said("frequency"):  # once a second it is looked for, where enough was heard
-        swing(10.0, 200)
-        assert step < 200_000
-    swing(10.0, 9000)
+    def swing(hertz, tone, periods):
+        nonlocal step
+        for value in swinging(hertz, tone, periods)[0]:
+            step += 1
+            lifter.publisher.publish(MeasuredState(step=step, x=[value], lockstep=True))
+            if step % 200 == 0:
+                probe.spin_until(answered, "the costs")
+        probe.spin_until(answered, "the costs")
+
+    swing(1.0, 2.6, 210)
+    probe.spin_until(lambda: said("frequency"), "the frequency")
+    swing(1.0, 2.6, 450)
     assert not said("the rig has changed")
-    while not said("moved from 10 to"):
-        swing(11.0, 200)
-        assert step < 400_000
+    swing(1.2, 2.1, 24)
+    probe.spin_until(lambda: said("moved from 1 to"), "the change")
+    swing(1.2, 2.1, 280)
+    probe.spin_until(lambda: "keeping samples" in process.log.read_text(), "the frequency")
+    swing(1.2, 2.1, 610)
+    probe.spin_until(lambda: said("a better model is proposed"), "a proposal")
+    (proposed,) = tmp_path.glob("model-*.npz")
+    assert f"ros2 param set /koopman_lifter model {proposed}" in process.log.read_text()
+    assert set_parameters(probe, "koopman_lifter", model=str(proposed)).successful
+    assert lifter(step + 1, x=[0.0]).model_id == proposed.stem.removeprefix("model-")
 
 
 def test_an_inactive_lifter_is_silent(fresh_lifter, probe):

@@ -23,6 +23,11 @@ def write_json(path: Path, values: Any) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write a text file; as :func:`write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
     """Write a file that is whole at any time, also if the machine fails.
 
     Raises
@@ -32,8 +37,8 @@ def write_text(path: Path, text: str) -> None:
     """
     new = path.with_name(f"{path.name}.new")
     try:
-        with open(new, "w", encoding="utf-8") as file:
-            file.write(text)
+        with open(new, "wb") as file:
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(new, path)

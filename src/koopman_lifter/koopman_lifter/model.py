@@ -14,7 +14,7 @@ import math
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +141,7 @@ class KoopmanModel:
             delays.every,
         )
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path | IO[bytes]) -> None:
         """Write the model file; the same model gives the same bytes."""
         text, arrays = _json(self.meta), self.arrays
         texts = {"meta": text, "sha256": _digest(arrays, text)}

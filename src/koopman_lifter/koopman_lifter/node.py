@@ -27,10 +27,11 @@ from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
 from koop_node.node.stamps import to_seconds
 from koop_node.node.wire import codec
-from koopman_lifter import cost, margin
+from koopman_lifter import candidate, cost, margin
 from koopman_lifter.change import Change, Watch
-from koopman_lifter.config import LifterConfig, ModelConfig
+from koopman_lifter.config import LifterConfig, ModelConfig, shipped_model
 from koopman_lifter.model import KoopmanModel, load_fitting, load_for
+from koopman_lifter.search import Search
 from koopman_lifter.stage import (
     CHANGED,
     COST,
@@ -126,6 +127,7 @@ class LifterRun(Run):
         self._seen = 0 if source is None else len(source.fields)
         self._candidate: KoopmanModel | None = None
         self._change: Change | None = None
+        self._search: Search | None = None
         self._source, self._detector = config.source, config.detector_params()
         self._answer = codec(Cost).new()
         self._answer.dt, self._answer.margin = config.dt, math.nan
@@ -165,6 +167,7 @@ class LifterRun(Run):
 
     def deactivate(self) -> None:
         self._input.pause()
+        self._end_search()
         self._publisher = self.reader = None
         if self._foreign is not None:
             self._foreign.publisher = None
@@ -195,6 +198,8 @@ class LifterRun(Run):
         if self._input.step is None:
             return OK, "no state yet", values
         self._watch.look()
+        if self._change is not None:
+            self._seek_model()
         if (frequency := self._watch.frequency) is not None:
             values["frequency"] = frequency
         values |= {"step": self._answer.step, "r": self._answer.r}
@@ -210,7 +215,7 @@ class LifterRun(Run):
             left = self._state.settling * config.dt
             return OK, f"joined a run: no cost until the filters settle in {left:.1f} s", values
         if self._change is not None:
-            return WARN, str(self._change), values
+            return WARN, f"{self._change}{self._proposed}", values
         return OK, "lifting", values
 
     def _on_foreign(self, message: Any, written: float) -> None:
@@ -226,6 +231,7 @@ class LifterRun(Run):
             return
         x = self._process(state, arrival)
         self._publisher.publish(self._answer)
+        self._keep(self._kept, state.step, x)
         self._observe(x)
 
     def _process(self, state: Any, arrival: Arrival) -> NDArray[np.float64]:
@@ -259,9 +265,7 @@ class LifterRun(Run):
             x = self._loaded.lifting.projector @ self._loaded.work.z
         if x.size != self._watch.channels:
             self._begin_watch(x.size)
-        change = self._watch.take(self._answer.step, x)
-        if change is not None:
-            self._change = change
+        self._note(self._watch.take(self._answer.step, x))
 
     @property
     def _has_contrast(self) -> bool:
@@ -285,11 +289,12 @@ class LifterRun(Run):
         watched = 1 if self._has_contrast else max(self._n, 1)
         if watched != self._watch.channels:  # what it looks at is written by its number
             self._begin_watch(watched)
-        self._change = self._watch.settle() or self._change
+        self._note(self._watch.settle())
         looks, ear, threshold, spectrum, tally = self._watch.lend()
         stage = LifterStage(
             source, target, self._source, self._loaded.lifting, self._detector, self._loaded.work,
             np.zeros(self._n), np.zeros(watched), looks, ear, threshold, spectrum,
+            self._kept,
         )  # fmt: skip
         return stage, LifterProgress(answer.step, self._state, tally)
 
@@ -304,13 +309,54 @@ class LifterRun(Run):
     def handle(self, reason: int) -> None:
         super().handle(reason)
         if reason == CHANGED:
-            self._change = self._watch.judge()
+            self._note(self._watch.judge())
         elif reason == UNUSABLE and self.reader is not None:
             self._judge_unusable(self.reader.last().x)
 
     def _begin_watch(self, channels: int = 1) -> None:
         self._watch = Watch(channels, self._answer.dt)
         self._change = None
+        self._end_search()
+
+    # -- after a change -----------------------------------------------------------------------
+
+    def _note(self, change: Change | None) -> None:
+        """Take a change; what was learned since an earlier one is of a rig that is gone."""
+        if change is not None:
+            self._change = change
+            self._end_search()
+
+    def _end_search(self) -> None:
+        if self._search is not None:
+            self._search.close()
+        self._search, self._proposed = None, ""
+        self._kept = candidate.room(self._n or 1)
+
+    def _seek_model(self) -> None:
+        """Keep samples, have a model learned from them, and propose it if it is better."""
+        config, chosen = self._node.parameters[LifterConfig], self._node.parameters[ModelConfig]
+        model, logger, frequency = (
+            self._loaded.model,
+            self._node.get_logger(),
+            self._watch.frequency,
+        )
+        if self._search is not None:
+            if (outcome := self._search.outcome()) is None:
+                return
+            self._end_search()
+            if not outcome.file:
+                logger.info(f"no better model yet: {outcome.text}")
+                return
+            self._proposed = f"; a better model is proposed: set 'model' to {outcome.file}"
+            name = self._node.get_fully_qualified_name()
+            logger.warning(f"{outcome.text}: ros2 param set {name} model {outcome.file}")
+        elif self._proposed or model is None or frequency is None or self._source != cost.LIFTED:
+            return
+        elif not self._kept.steps.size and chosen.path != shipped_model():
+            self._kept = candidate.room(self._n, candidate.size_of(frequency, config.dt))
+            logger.info("keeping samples to learn a model of the rig as it is now")
+        elif self._kept.full and self._kept.steps.size:
+            self._search = Search(model, chosen.path, self._kept, frequency, config.omega_h)
 
     def _use(self, model: KoopmanModel | None) -> None:
         self._loaded = LoadedModel(model)
@@ -368,6 +414,7 @@ class LifterRun(Run):
             cost.joining(self._detector), int(Arrival.JOIN), 0, x, self._loaded.work,
         )  # fmt: skip
         self._loaded.work.cursor[:] = 0
+        self._keep = direct(candidate.keep, candidate.room(self._n or 1), 0, x)
         self._begin_watch()
 
 

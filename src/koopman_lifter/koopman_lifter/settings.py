@@ -1,4 +1,4 @@
-"""Settings of the cost, of what is learned besides the modes, and of the watch."""
+"""Settings of the cost, of what is learned besides the modes, of the watch and after a change."""
 
 from __future__ import annotations
 
@@ -43,6 +43,22 @@ class WatchSettings(Settings):
 
 
 @dataclass(frozen=True)
+class CandidateSettings(Settings):
+    """From which samples another model is learned after a change, and when it is proposed."""
+
+    periods: int = judged(
+        600, "periods that are kept, for the controller to seek in meanwhile", low=64
+    )
+    most: int = judged(2**17, "samples that are kept, at most", low=1024)
+    window: int = judged(8, "periods of a window", low=4)
+    fewest: int = judged(16, "windows to learn from, and to judge by, at least", low=8)
+    better: float = parameter(
+        2.0, "standard errors of the rank correlation by which the candidate's is higher", low=0.0,
+        origin="one in 44 where they are equal",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class CostSettings(Settings):
     """When the cost is known."""
 
@@ -52,5 +68,5 @@ class CostSettings(Settings):
     )
 
 
-LEARNING = LearningSettings()
+LEARNING, CANDIDATE = LearningSettings(), CandidateSettings()
 WATCH, COST = constants(WatchSettings()), constants(CostSettings())

@@ -25,7 +25,8 @@ from koop_core.port import (
     word,
 )
 from koop_core.stream.arrival import Arrival
-from koopman_lifter import change, cost
+from koopman_lifter import candidate, change, cost
+from koopman_lifter.candidate import Samples
 from koopman_lifter.change import Listening, Spectrum, Tally
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 
@@ -48,6 +49,8 @@ class LifterStage(NamedTuple):
         What the watch looks at: the contrast if there is one, else the state.
     listening : bool
         Whether the watch looks for the oscillation still.
+    kept : Samples
+        What a candidate is learned from.
     """
 
     input: Port
@@ -62,6 +65,7 @@ class LifterStage(NamedTuple):
     ear: Listening
     threshold: float
     spectrum: Spectrum
+    kept: Samples
 
 
 class LifterProgress(NamedTuple):
@@ -95,6 +99,7 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
     answer.data[answer.at[3]] = settling
     if not send(answer):
         return FAILED, progress
+    candidate.keep(stage.kept, step, sample)
     seen, tally = stage.seen, progress.tally
     if stage.source == cost.LIFTED and stage.lifting.projector.shape[0] == 1:
         seen[0] = 0.0

@@ -1,0 +1,230 @@
+"""A model of the rig as it is after a change, and whether it is better than the one in use.
+
+From the change on samples are kept, as many as ``CANDIDATE.periods`` have: identification from them
+is the one from a recording, to the bit, a sample costs a copy, and nothing is updated that could
+wind up where the loop does not excite. They are cut into windows. From the first half of these the
+candidate is learned, its cost the contrast (:mod:`koopman_lifter.contrast`) between windows whose
+amplitude at the oscillation's frequency is large and small.
+
+On the other half, which it has not seen, it is judged against the model in use: by how well the
+cost orders the windows by that amplitude, which no model has a part in. With Spearman's rank
+correlations rho of n windows, atanh rho has the variance 1.06 / (n - 3) (Fieller, Hartley and
+Pearson 1957), and the candidate is better if
+
+    (atanh rho' - atanh rho) / sqrt(2.12 / (n - 3)) > CANDIDATE.better
+
+and its one-step error is not larger. Its projector is scaled so that the mean energy stays as it
+was, and with it what was tuned for the model in use.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.errors import InputError
+from koop_core.kernels import njit
+from koopman_lifter.contrast import can_split, moments, with_contrast
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import KoopmanModel, build
+from koopman_lifter.settings import CANDIDATE
+
+
+class Samples(NamedTuple):
+    """Measured states that are kept until they are enough.
+
+    Attributes
+    ----------
+    states : ndarray, shape (M, channels)
+    steps : ndarray of int64, shape (M,)
+    cursor : ndarray of int64, shape (1,)
+        How many there are.
+    """
+
+    states: NDArray[np.float64]
+    steps: NDArray[np.int64]
+    cursor: NDArray[np.int64]
+
+    @property
+    def full(self) -> bool:
+        """Whether they are enough; also where none are to be kept."""
+        return int(self.cursor[0]) == self.steps.size
+
+
+def room(channels: int, size: int = 0) -> Samples:
+    """Return room for so many samples."""
+    return Samples(np.empty((size, channels)), np.empty(size, np.int64), np.zeros(1, np.int64))
+
+
+def size_of(frequency: float, dt: float) -> int:
+    """Return how many samples are enough for an oscillation of a frequency [Hz]."""
+    return min(round(CANDIDATE.periods / (frequency * dt)), CANDIDATE.most)
+
+
+@njit()
+def keep(samples: Samples, step: int, x: NDArray[np.float64]) -> None:
+    """Keep a measured state, shape (channels,), if there is room and it is finite."""
+    i = samples.cursor[0]
+    if i == samples.steps.shape[0]:
+        return
+    for j in range(x.shape[0]):
+        if not math.isfinite(x[j]):
+            return
+        samples.states[i, j] = x[j]
+    samples.steps[i] = step
+    samples.cursor[0] = i + 1
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The model in use and the candidate on windows that neither was learned from.
+
+    Attributes
+    ----------
+    windows : int
+        How many.
+    ranks : tuple of float
+        Rank correlation of the cost with the amplitude: of the model in use, of the candidate.
+    errors : tuple of float
+        One-step error over the observables' root mean square, of the same.
+    """
+
+    windows: int
+    ranks: tuple[float, float]
+    errors: tuple[float, float]
+
+    @property
+    def better(self) -> bool:
+        """Whether the candidate is better."""
+        z, z_candidate = (math.atanh(min(max(rho, -0.999), 0.999)) for rho in self.ranks)
+        evidence = (z_candidate - z) / math.sqrt(2.12 / (self.windows - 3))
+        return evidence > CANDIDATE.better and self.errors[1] <= self.errors[0]
+
+    def __str__(self) -> str:
+        (rank, candidate), (error, after) = self.ranks, self.errors
+        return (
+            f"on {self.windows} windows since the change the cost follows the amplitude with a "
+            f"rank correlation of {candidate:.2f} under a new model, {rank:.2f} under the one in "
+            f"use; one-step errors are {after:.2g} and {error:.2g}"
+        )
+
+
+def learn_candidate(
+    model: KoopmanModel, samples: Samples, frequency: float, omega_h: float
+) -> tuple[KoopmanModel, Judgement]:
+    """Learn a candidate for a model from samples, and judge it.
+
+    Parameters
+    ----------
+    model : KoopmanModel
+        The one in use.
+    samples : Samples
+        Since the change.
+    frequency : float
+        Of the oscillation [Hz].
+    omega_h : float
+        Corner frequency of the detector's high-pass filter [rad/s].
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If the samples cannot determine a model or judge it.
+    """
+    length = round(CANDIDATE.window / (frequency * model.dt))
+    windows = cut(samples, max(length, 2 * model.delays.depth))
+    half = len(windows) // 2
+    amplitude = amplitudes(windows, frequency * model.dt)
+    learned, judged = windows[:half], windows[half:]
+    if half < CANDIDATE.fewest or not can_split(amplitude[:half]):
+        raise InputError(f"{len(windows)} windows since the change are too few to learn from")
+    gram = _sum_up(model, learned)
+    provenance = {
+        "source": "operation",
+        "in_place_of": model.model_id,
+        "variant": "contrast",
+        "windows": half,
+        "window": float(f"{windows.shape[2] * model.dt:.4g}"),
+        "strong_and_weak_by": f"amplitude at {frequency:.4g} Hz",
+    }
+    count = int(model.kept.sum())
+    candidate = build(gram, model.dt, model.state_names, count, provenance, model.delays)
+    joined = np.hstack(list(learned))
+    starts = windows.shape[2] * np.arange(half)
+    spread = moments(joined, starts, windows.shape[2], model.delays)
+    candidate = with_contrast(candidate, *spread, amplitude[:half])
+    costs = [energies(each, judged, omega_h) for each in (model, candidate)]
+    mean, new_mean = (float(each.means.mean()) for each in costs)
+    if new_mean > 0.0:
+        scaled = candidate.projector * math.sqrt(mean / new_mean)
+        candidate = replace(candidate, projector=scaled)
+    seen = _sum_up(model, judged)
+    use, new = (_rank_correlation(amplitude[half:], each.amplitudes) for each in costs)
+    errors = one_step_error(model, seen), one_step_error(candidate, seen)
+    return candidate, Judgement(len(judged), (use, new), errors)
+
+
+def cut(samples: Samples, length: int) -> NDArray[np.float64]:
+    """Return consecutive samples as windows, shape (T, channels, length); none spans a gap."""
+    count = int(samples.cursor[0])
+    steps, states = samples.steps[:count], samples.states[:count]
+    pieces = np.split(states, np.flatnonzero(np.diff(steps) != 1) + 1)
+    whole = [piece[: len(piece) // length * length] for piece in pieces]
+    return np.ascontiguousarray(
+        np.concatenate(whole).reshape(-1, length, states.shape[1]).swapaxes(1, 2)
+    )
+
+
+def amplitudes(windows: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
+    """Return the amplitude of each window at a frequency, in cycles a sample, shape (T,).
+
+    Channels count in units of their standard deviation; interference three bins away is out.
+    """
+    length = windows.shape[2]
+    taper = np.blackman(length) * np.exp(-2j * math.pi * frequency * np.arange(length))
+    usual = windows.std(axis=(0, 2))
+    centred = windows - windows.mean(axis=2, keepdims=True)
+    lines = np.abs(centred @ taper) / np.where(usual > 0.0, usual, 1.0)
+    return np.asarray(np.sqrt((lines**2).sum(axis=1)))
+
+
+class Energies(NamedTuple):
+    """Mean of y_out over each window, and the amplitude that the detector has of it."""
+
+    means: NDArray[np.float64]
+    amplitudes: NDArray[np.float64]
+
+
+def energies(model: KoopmanModel, windows: NDArray[np.float64], omega_h: float) -> Energies:
+    """Return y_out under a model, through the detector's high-pass filter, shape (T,) each."""
+    lifted = (model.observables.lift(model.delays.embed(window)) for window in windows)
+    y_out = np.array([((model.projector @ z) ** 2).sum(axis=0) for z in lifted])
+    spectrum = np.fft.rfft((y_out - y_out.mean(axis=1, keepdims=True)) * np.hanning(y_out.shape[1]))
+    delay = np.exp(-2j * math.pi * np.fft.rfftfreq(y_out.shape[1]))
+    alpha = math.exp(-omega_h * model.dt)
+    passed = np.abs((1.0 - alpha) * (1.0 - delay) / (1.0 - alpha * delay) * spectrum)
+    return Energies(y_out.mean(axis=1), (passed**2).sum(axis=1))
+
+
+def one_step_error(model: KoopmanModel, gram: Gram) -> float:
+    """Return the root mean square of g(x_{k+1}) - K g(x_k), each over that of g_i(x)."""
+    k = model.K * gram.scale[None, :] / gram.scale[:, None]
+    now, cross, after = (gram.equilibrated(sums) for sums in (gram.xx, gram.yx, gram.yy))
+    squares = np.trace(after) - 2.0 * np.trace(k @ cross.T) + np.trace(k @ now @ k.T)
+    return math.sqrt(max(squares / len(k), 0.0))
+
+
+def _sum_up(model: KoopmanModel, windows: NDArray[np.float64]) -> Gram:
+    gram = Gram.empty(model.observables)
+    for window in windows:
+        gram.add_trajectory(model.delays.embed(window))
+    return gram
+
+
+def _rank_correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Spearman's."""
+    ranks_a, ranks_b = (np.argsort(np.argsort(values)) for values in (a, b))
+    return float(np.corrcoef(ranks_a, ranks_b)[0, 1])

@@ -1,0 +1,140 @@
+"""A model after a change: one channel in which interference moves, with its true amplitude."""
+
+import time
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from koop_core.errors import InputError
+from koopman_lifter.candidate import (
+    Samples,
+    amplitudes,
+    cut,
+    energies,
+    keep,
+    learn_candidate,
+    room,
+    size_of,
+)  # fmt: skip
+from koopman_lifter.contrast import moments, with_contrast
+from koopman_lifter.delays import Delays
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import build, load
+from koopman_lifter.observables import Monomials
+from koopman_lifter.search import Outcome, Search, find_model
+
+DT, OMEGA_H = 0.05, 6.0  # [s], [rad/s]
+DELAYS = Delays(1, 4, 1)
+
+
+def signal(frequency, tone, periods=600, seed=0, noise=0.02):
+    """Return an oscillation whose amplitude is sought up and down, in interference, and that."""
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(round(periods / (frequency * DT)))
+    amplitude = 0.6 + 0.3 * np.sin(2.0 * np.pi * frequency * t / 97.0) + 0.1 * np.sin(0.13 * t)
+    x = amplitude * np.sin(2.0 * np.pi * frequency * t)
+    x += 2.0 * (1.0 + 0.3 * np.sin(0.21 * t)) * np.sin(2.0 * np.pi * tone * t)
+    x += noise * rng.standard_normal(t.size)
+    return x[:, None], amplitude
+
+
+def samples_of(x):
+    return Samples(x, np.arange(len(x)), np.array([len(x)]))
+
+
+def wait_for(search):
+    while (outcome := search.outcome()) is None:
+        time.sleep(0.05)
+    return outcome
+
+
+def before():
+    """Return a model of a rig at 1 Hz with interference at 2.6 Hz."""
+    x, amplitude = signal(1.0, 2.6)
+    gram = Gram.empty(Monomials(4, 1))
+    gram.add_trajectory(DELAYS.embed(x.T))
+    starts = np.arange(0, len(x) - 160, 160)
+    spread = moments(x.T, starts, 160, DELAYS)
+    return with_contrast(build(gram, DT, ("a",), 4, {}, DELAYS), *spread, amplitude[starts])
+
+
+@pytest.mark.parametrize("function", [keep, keep.py_func])
+def test_samples_are_kept_in_order_until_they_are_enough(function):
+    kept = room(2, 3)
+    for step, value in ((4, 1.0), (5, np.nan), (7, 2.0), (8, 3.0), (9, 4.0)):
+        function(kept, step, np.array([0.5, value]))
+    assert kept.full
+    assert kept.steps.tolist() == [4, 7, 8]
+    assert kept.states.tolist() == [[0.5, 1.0], [0.5, 2.0], [0.5, 3.0]]
+    assert cut(kept, 2).tolist() == [[[0.5, 0.5], [2.0, 3.0]]]  # none spans the gap
+
+
+def test_where_interference_has_moved_a_better_model_is_learned():
+    model, (x, _) = before(), signal(1.3, 2.1)
+    candidate, judgement = learn_candidate(model, samples_of(x), 1.3, OMEGA_H)
+    assert judgement.better, judgement
+    assert candidate.delays == model.delays
+    later, true = signal(1.3, 2.1, seed=1)
+    length = round(8 / (1.3 * DT))
+    windows = cut(samples_of(later), length)
+    truth = true[: len(windows) * length].reshape(-1, length).mean(axis=1)
+
+    def follows(each):
+        return scipy.stats.spearmanr(energies(each, windows, OMEGA_H).amplitudes, truth)[0]
+
+    assert follows(candidate) > 0.95 > follows(model)
+    assert scipy.stats.spearmanr(amplitudes(windows, 1.3 * DT), truth)[0] > 0.95
+    means = [energies(each, windows, OMEGA_H).means.mean() for each in (model, candidate)]
+    assert means[1] == pytest.approx(means[0], rel=0.1)  # limits and levels keep their meaning
+
+
+def test_the_candidate_is_the_batch_solution_of_the_windows_it_was_learned_from():
+    x, _ = signal(1.3, 2.1)
+    candidate, _ = learn_candidate(before(), samples_of(x), 1.3, OMEGA_H)
+    windows = cut(samples_of(x), round(8 / (1.3 * DT)))
+    lifted = [Monomials(4, 1).lift(DELAYS.embed(w)) for w in windows[: len(windows) // 2]]
+    now, after = (np.hstack([z[:, part] for z in lifted]) for part in (np.s_[:-1], np.s_[1:]))
+    exact = np.linalg.lstsq(now.T, after.T, rcond=None)[0].T
+    np.testing.assert_allclose(candidate.K, exact, rtol=1e-9, atol=1e-9)
+
+
+def test_of_a_rig_that_is_as_it_was_or_of_noise_no_model_is_better():
+    model = before()
+    _, judgement = learn_candidate(model, samples_of(signal(1.0, 2.6, seed=2)[0]), 1.0, OMEGA_H)
+    assert not judgement.better, judgement
+    noise = np.random.default_rng(0).standard_normal((size_of(1.0, DT), 1))
+    candidate, judgement = learn_candidate(model, samples_of(noise), 1.0, OMEGA_H)
+    assert not judgement.better, judgement
+    assert np.abs(candidate.eigenvalues).max() < 1.01
+    with pytest.raises(InputError, match="too few"):
+        learn_candidate(model, samples_of(noise[:2000]), 1.0, OMEGA_H)
+
+
+def test_a_better_model_is_written_beside_the_one_in_use(tmp_path):
+    path = tmp_path / "model.npz"
+    before().save(path)
+    content, samples = path.read_bytes(), samples_of(signal(1.3, 2.1)[0])
+    search = Search(load(path), path, samples, 1.3, OMEGA_H)
+    outcome = wait_for(search)
+    assert path.read_bytes() == content
+    assert sorted(tmp_path.iterdir()) == sorted([path, tmp_path / outcome.file])
+    candidate = load(outcome.file)
+    assert outcome.file == str(tmp_path / f"model-{candidate.model_id}.npz")
+    assert "rank correlation" in outcome.text
+    # from the new one on, there is none that is better; its own file is not the model's
+    again = find_model(tmp_path / outcome.file, candidate.model_id, samples, 1.3, OMEGA_H)
+    assert again.file == ""
+    with pytest.raises(InputError, match="another model by now"):
+        find_model(path, candidate.model_id, samples, 1.3, OMEGA_H)
+
+
+def test_a_search_that_cannot_succeed_says_so_and_one_that_is_ended_is_gone(tmp_path):
+    path, few = tmp_path / "model.npz", samples_of(signal(1.3, 2.1)[0][:500])
+    before().save(path)
+    model = load(path)
+    search = Search(model, path, few, 1.3, OMEGA_H)
+    Search(model, path, few, 1.3, OMEGA_H).close()
+    outcome = wait_for(search)
+    assert isinstance(outcome, Outcome)
+    assert "too few" in outcome.text
