@@ -31,9 +31,8 @@ def test_two_coupled_knobs_are_commissioned_from_rig_file_to_verdict(paper_rig, 
     for stage, *others in map(str.split, stages):
         process = koop(stage, "rig.yaml", *others)
         out, error = process.communicate(timeout=TIMEOUT)
-        damped = process.returncode == 0  # a busy machine may leave the verdict open
-        assert damped or (stage == "verify" and process.returncode == 1), out + error
-    assert ("The rig is damped" in out) == damped
+        assert process.returncode == 0, out + error
+    assert "The rig is damped" in out
     assert paper_rig.theta.tolist() == list(PAPER.theta_safe)
     state = progress.load(PAPER, tmp_path / "run")
     held = [amplitude(hold.theta) for hold in state.holds]
@@ -50,4 +49,4 @@ def test_two_coupled_knobs_are_commissioned_from_rig_file_to_verdict(paper_rig, 
     corners = [amplitude((a, b)) for a in (-4.9, -1.5) for b in (-0.6, 2.4)]
     assert amplitude(starts[1]) == pytest.approx(max(corners))
     for run in last.runs:
-        assert amplitude(run.measured.theta) < 1.5 or not damped
+        assert amplitude(run.measured.theta) < 1.2
