@@ -134,6 +134,8 @@ def learn_candidate(
     koop_core.errors.InputError
         If the samples cannot determine a model or judge it.
     """
+    from scipy.stats import spearmanr  # slow to import, and the lifter has no use for it
+
     length = round(CANDIDATE.window / (frequency * model.dt))
     windows = cut(samples, max(length, 2 * model.delays.depth))
     half = len(windows) // 2
@@ -162,7 +164,7 @@ def learn_candidate(
         scaled = candidate.projector * math.sqrt(mean / new_mean)
         candidate = replace(candidate, projector=scaled)
     seen = _sum_up(model, judged)
-    use, new = (_rank_correlation(amplitude[half:], each.amplitudes) for each in costs)
+    use, new = (float(spearmanr(amplitude[half:], each.amplitudes).statistic) for each in costs)
     errors = one_step_error(model, seen), one_step_error(candidate, seen)
     return candidate, Judgement(len(judged), (use, new), errors)
 
@@ -222,9 +224,3 @@ def _sum_up(model: KoopmanModel, windows: NDArray[np.float64]) -> Gram:
     for window in windows:
         gram.add_trajectory(model.delays.embed(window))
     return gram
-
-
-def _rank_correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Spearman's."""
-    ranks_a, ranks_b = (np.argsort(np.argsort(values)) for values in (a, b))
-    return float(np.corrcoef(ranks_a, ranks_b)[0, 1])
