@@ -1,6 +1,5 @@
 """A rig for commissioning: fast, unstamped, with one knob, or two."""
 
-import functools
 import math
 import random
 import threading
@@ -16,7 +15,7 @@ from vdp_plant.config import PlantConfig
 DT = 0.004
 OMEGA = 2.0 * math.pi * 20.0
 BEST, SECOND_BEST = 0.8, 0.1
-PATIENCE = 0.2  # [s] for the answer to a sample
+PATIENCE, COMMANDED = 0.3, 3.0  # [s] for the answer to a sample; since the last command
 TYPES = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64")  # measured, command
 RIG = RigFile(
     measured="/fast:data[0],data[1]",
@@ -43,7 +42,7 @@ TWO_KNOBS = replace(
 
 PAPER = RigFile(
     measured="/paper:position[0],position[1]",
-    command="/paper/first:data,/paper/second:data",
+    command="/paper/theta:theta[0],theta[1]",
     dt=0.9,
     theta_min=(-4.9, -0.6),
     theta_max=(-1.5, 2.4),
@@ -51,7 +50,7 @@ PAPER = RigFile(
     theta_start=(-1.6, -0.5),
     theta_safe=(-2.0, 0.0),
     time=1e6,
-    pace=540.0,
+    pace=300.0,
 )
 SUBSTEPS, LATE = 30, 0.5  # of a sample; [s] that it makes up for
 PLANT = PlantConfig(
@@ -87,37 +86,38 @@ class Rig:
 
 
 class PaperRig(Rig):
-    """The paper's plant with two knobs behind standard messages, faster than real time.
+    """The paper's plant with two knobs behind a standard message, faster than real time.
 
-    It waits for the answer to each sample, though not for long, and not where nobody commands: a
-    busy machine makes it slow, not another rig. It is stamped by its own clock. Less damping makes
-    it settle soon, and without drift and interference short holds do.
+    It is stamped by its own clock and waits for the command that bears the stamp of its sample,
+    though not for long, and not where nobody commands: a busy machine makes
+    it slow, not another rig. Less damping makes it settle soon, and without drift and interference
+    short holds do.
     """
 
     def __init__(self):
+        from koop_msgs.msg import ControlInput
         from sensor_msgs.msg import JointState
-        from std_msgs.msg import Float64
 
         super().__init__("paper_rig")
-        self.theta, self._heard = np.array(PAPER.theta_start), 0.0
+        self.theta, self._heard = np.array(PAPER.theta_start), -math.inf
         self._publisher = self._node.create_publisher(JointState, "/paper", 100)
-        for knob, topic in enumerate(("/paper/first", "/paper/second")):
-            hear = functools.partial(self._on_command, knob)
-            self._node.create_subscription(Float64, topic, hear, 10)
+        self._message = JointState()
+        self._is_answered = True
+        self._node.create_subscription(ControlInput, "/paper/theta", self._on_command, 10)
         self._thread.start()
 
-    def _on_command(self, knob, message):
-        self.theta[knob], self._heard = message.data, time.monotonic()
+    def _on_command(self, message):
+        self.theta, self._heard = np.array(message.theta), time.monotonic()
+        self._is_answered |= message.header.stamp == self._message.header.stamp
 
     def _run(self):
-        from sensor_msgs.msg import JointState
-
         params, knobs = PLANT.params(), PLANT.knob_params()
-        x, y, applied, message = 4.0, 0.0, self.theta.copy(), JointState()
+        x, y, applied, message = 4.0, 0.0, self.theta.copy(), self._message
         k, period, due, said = 0, PAPER.dt / PAPER.pace, time.monotonic(), 0.0
         while not self._over.is_set():
             now = time.monotonic()
-            if now < due or (self._heard < said and now < min(said, self._heard + 1.0) + PATIENCE):
+            is_commanded = now < self._heard + COMMANDED
+            if now < due or (is_commanded and not self._is_answered and now < said + PATIENCE):
                 self._executor.spin_once(timeout_sec=0.001)
                 continue
             due = max(due + period, now - LATE)  # a busy machine slows it
@@ -127,7 +127,7 @@ class PaperRig(Rig):
             stamp = message.header.stamp
             stamp.sec, stamp.nanosec = divmod(round(k * PLANT.dt * 1e9), 10**9)
             message.position = dynamics.measure(params, k, x, y)
-            said = time.monotonic()
+            said, self._is_answered = time.monotonic(), False
             self._publisher.publish(message)
 
 
@@ -141,7 +141,8 @@ class FastRig(Rig):
     times what the second knob is from 0.1: the two are coupled. It then waits for the answer to
     each sample, though not for long: a busy machine makes it slow, not another rig.
 
-    Its effort, of rms exp(2 (worn - theta)), is the larger, the smaller theta is.
+    Its effort, +-exp(2 (worn - theta)), is the larger, the smaller theta is; its rms over a window
+    does not depend on the number of samples that a busy machine leaves in it.
 
     Attributes
     ----------
@@ -208,7 +209,7 @@ class FastRig(Rig):
             self._executor.spin_once(timeout_sec=max(max(due, self._due) - time.monotonic(), 0.0))
             if time.monotonic() < max(due, self._due):
                 continue
-            due += DT
+            due = max(due + DT, time.monotonic() - LATE)
             if self.second is not None:
                 due = time.monotonic() + DT
                 self._due = due + PATIENCE
@@ -231,6 +232,6 @@ class FastRig(Rig):
                 said[0] = math.nan
             self._message.data = said
             if not self.silent:
-                effort = math.sqrt(2.0) * math.exp(2.0 * (self.worn - self.theta))
-                self._effort.publish(Float64(data=effort * math.sin(OMEGA * k * DT)))
+                effort = math.exp(2.0 * (self.worn - self.theta))
+                self._effort.publish(Float64(data=effort * (-1) ** k))
                 self._publisher.publish(self._message)

@@ -29,8 +29,10 @@ def test_two_coupled_knobs_are_commissioned_from_rig_file_to_verdict(paper_rig, 
     rig_file.write(PAPER, tmp_path / "rig.yaml")
     stages = ("check", "excite --out run", "tune run --effort 0.02", "verify run")
     for stage, *others in map(str.split, stages):
-        process = koop(stage, "rig.yaml", *others)
-        out, error = process.communicate(timeout=TIMEOUT)
+        error = "to resume: "
+        while "to resume: " in error:  # a busy machine lets the rig be silent for too long
+            process = koop(stage, "rig.yaml", *others)
+            out, error = process.communicate(timeout=TIMEOUT)
         assert process.returncode == 0, out + error
     assert "The rig is damped" in out
     assert paper_rig.theta.tolist() == list(PAPER.theta_safe)
