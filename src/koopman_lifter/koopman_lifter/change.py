@@ -20,6 +20,10 @@ and S > ln(windows of a day) is a change: from independent windows of the range 
 least on average until the next (Lorden 1971). s^2 is the variance of e about its running mean, w
 the power of a window over the usual one, at most 1 as noise moves the phase of a weak oscillation
 more, times what overlapping windows leave of new information.
+
+A frequency that has left that quarter tells the phases nothing. So spectra of what is listened to
+go on, each of some hundred periods: a change is also a line away from f0 of ten times the power
+that was ever there, before the last spectrum, and of ten times what is left at f0.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from koop_core.errors import InputError
@@ -44,6 +49,10 @@ DAY = 86400.0  # [s]
 BLOCK = 16  # states that are looked at together: the call costs more than that
 LOOKED = 20  # windows that dominant_period makes of what is listened to
 FITS = 4  # periods in one of them, at least
+AVERAGED = 4  # windows of a spectrum of what is listened to: 20 periods in each, at least
+LEFT = 0.2  # of f0: a line farther away is no longer that of f0
+LEAKED = 2  # bins on either side of a line, and those of a trend
+TINY = float(np.finfo(float).tiny)
 
 
 class Spectrum(NamedTuple):
@@ -320,6 +329,9 @@ class Watch:
         )
         self._spectrum: Spectrum | None = None
         self._tally, self._threshold, self._count = Tally(), 0.0, 0
+        self._last: NDArray[np.float64] = np.zeros(0)  # power by bin of the last spectrum
+        self._most: NDArray[np.float64] = np.zeros(0)  # the most of all before it
+        self._scale: NDArray[np.float64] = np.ones(n)
 
     @property
     def frequency(self) -> float | None:
@@ -342,18 +354,25 @@ class Watch:
         """Look at what has been taken."""
         block = self._steps[: self._count], self._states[: self._count]
         self._count = 0
+        self._listen(self._listening, *block)
         if self._spectrum is None:
-            self._listen(self._listening, *block)
             return None
         self._tally = t = self._follow(self._threshold, self._spectrum, self._tally, *block)
         return self.judge() if max(t.above.s, t.below.s) > self._threshold else None
 
-    def look(self) -> None:
-        """Look for the oscillation where enough was heard: some milliseconds now and then."""
+    def look(self) -> Change | None:
+        """Look at the spectrum where enough was heard: some milliseconds now and then."""
+        rows, _, cursor = self._listening
+        if cursor[0] < len(rows):
+            return None
+        if self._spectrum is not None:
+            return self._compare(self._power())
+        self._look_for_oscillation()
+        return None
+
+    def _look_for_oscillation(self) -> None:
         rows, _, cursor = self._listening
         size = len(rows)
-        if self._spectrum is not None or cursor[0] < size:
-            return
         dt = float(cursor[1]) * self._dt
         try:
             period = dominant_period([rows.T], dt)
@@ -367,12 +386,44 @@ class Watch:
         segment = max(round(2.0 * period / self._dt), 1)
         self._spectrum = spectrum(segment, self.channels)
         self._threshold = math.log(max(DAY / (segment * self._dt), 10.0))
+        self._scale = np.maximum(rows.std(axis=0), TINY)
+        self._last = self._most = self._power()
+
+    def _power(self) -> NDArray[np.float64]:
+        """Return the power by bin of what was listened to, and listen again."""
+        rows, _, cursor = self._listening
+        windows = (rows / self._scale).reshape(AVERAGED, -1, self.channels)
+        size = windows.shape[1]
+        hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
+        lines = np.fft.rfft((windows - windows.mean(axis=1, keepdims=True)) * hann[:, None], axis=1)
+        cursor[0] = 0
+        return np.asarray((np.abs(lines) ** 2).sum(axis=(0, 2)))
+
+    def _compare(self, power: NDArray[np.float64]) -> Change | None:
+        """Compare a spectrum with those before it; return a jump of the oscillation."""
+        (rows, _, cursor), t, most = self._listening, self._tally, self._most
+        if self.learned:
+            own = self._hertz(0.5 * (t.low + t.high))
+            hertz = AVERAGED / (len(rows) * float(cursor[1]) * self._dt)
+            bins = np.arange(power.size)
+            away = np.abs(bins * hertz / own - 1.0)
+            left = power[away <= 0.5 * LEFT].max(initial=TINY)
+            spread = sliding_window_view(np.pad(most, LEAKED), 2 * LEAKED + 1).max(axis=1)
+            rise = np.where(away > LEFT, power / np.maximum(spread, left), 0.0)[:-LEAKED]
+            peak = LEAKED + int(np.argmax(rise[LEAKED:]))
+            if rise[peak] > WATCH.outshone:
+                line = slice(peak - LEAKED, peak + LEAKED + 1)
+                at = float(np.average(bins[line], weights=power[line])) * hertz
+                self.begin()
+                return Change(own, at)
+        self._most, self._last = np.maximum(most, self._last), power
+        return None
 
     def lend(self) -> tuple[bool, Listening, float, Spectrum, Tally]:
-        """Return what :func:`listen` or :func:`follow` needs, and which of them is to be called."""
-        looks = self._spectrum is None
+        """Return what :func:`listen` and :func:`follow` need, and whether that is called yet."""
+        follows = self._spectrum is not None
         silent = self._spectrum or spectrum(9, self.channels)
-        return looks, self._listening, self._threshold, silent, self._tally
+        return follows, self._listening, self._threshold, silent, self._tally
 
     def take_back(self, tally: Tally) -> None:
         """Take the tally after :func:`follow`."""

@@ -197,7 +197,7 @@ class LifterRun(Run):
         values: dict[str, object] = {"cost": config.cost, "model_id": self._loaded.id}
         if self._input.step is None:
             return OK, "no state yet", values
-        self._watch.look()
+        self._note(self._watch.look())
         if self._change is not None:
             self._seek_model()
         if (frequency := self._watch.frequency) is not None:
@@ -290,10 +290,10 @@ class LifterRun(Run):
         if watched != self._watch.channels:  # what it looks at is written by its number
             self._begin_watch(watched)
         self._note(self._watch.settle())
-        looks, ear, threshold, spectrum, tally = self._watch.lend()
+        follows, ear, threshold, spectrum, tally = self._watch.lend()
         stage = LifterStage(
             source, target, self._source, self._loaded.lifting, self._detector, self._loaded.work,
-            np.zeros(self._n), np.zeros(watched), looks, ear, threshold, spectrum,
+            np.zeros(self._n), np.zeros(watched), follows, ear, threshold, spectrum,
             self._kept,
         )  # fmt: skip
         return stage, LifterProgress(answer.step, self._state, tally)

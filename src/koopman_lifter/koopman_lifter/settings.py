@@ -40,6 +40,9 @@ class WatchSettings(Settings):
     least: float = judged(0.005, "deviation of a frequency that is believed, at least", low=1e-6)
     new: float = judged(0.5, "information of a window that those before it lack", low=0.1, high=1.0)
     most: float = judged(0.6, "of the threshold, that one window may add", low=0.1, high=1.0)
+    outshone: float = judged(
+        10.0, "power of a line over what was there and is left, when it is the oscillation", low=2.0
+    )
 
 
 @dataclass(frozen=True)

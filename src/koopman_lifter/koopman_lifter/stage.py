@@ -47,8 +47,8 @@ class LifterStage(NamedTuple):
         Measured state.
     seen : ndarray, shape (1,) or (channels,)
         What the watch looks at: the contrast if there is one, else the state.
-    listening : bool
-        Whether the watch looks for the oscillation still.
+    follows : bool
+        Whether the watch has found the oscillation.
     kept : Samples
         What a candidate is learned from.
     """
@@ -61,7 +61,7 @@ class LifterStage(NamedTuple):
     work: Workspace
     sample: NDArray[np.float64]
     seen: NDArray[np.float64]
-    listening: bool
+    follows: bool
     ear: Listening
     threshold: float
     spectrum: Spectrum
@@ -109,9 +109,8 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
         for i in range(sample.size):
             seen[i] = sample[i]
     reason = MORE
-    if stage.listening:
-        change.listen(stage.ear, step, seen)
-    else:
+    change.listen(stage.ear, step, seen)
+    if stage.follows:
         tally = change.follow(stage.threshold, stage.spectrum, tally, step, seen)
         if max(tally.above.s, tally.below.s) > stage.threshold:
             reason = CHANGED

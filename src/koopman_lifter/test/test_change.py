@@ -61,8 +61,7 @@ def changes(watch, x, first=1):
     """Return the changes that a watch sees, and their samples."""
     observed = []
     for k in range(x.shape[0]):
-        change = watch.take(first + k, x[k])
-        watch.look()
+        change = watch.take(first + k, x[k]) or watch.look()
         if change is not None:
             observed.append((k, change))
     return observed
@@ -95,6 +94,19 @@ def test_a_mode_moved_by_a_tenth_is_seen_within_ten_periods(ratio, when):
     assert change.before == pytest.approx(1.0, abs=0.01)
     assert change.after == pytest.approx(ratio, abs=0.04)  # a part of the window is from before
     assert "moved from" in str(change)
+
+
+@pytest.mark.parametrize("ratio", [0.55, 0.7, 1.3, 2.0, 5.0])
+@pytest.mark.parametrize("when", [0.0, 30.0, 60.0])  # within a spectrum
+def test_a_mode_that_has_jumped_is_seen_though_its_phases_are_lost(ratio, when):
+    before, after = samples(LEARNED + when), samples(250)
+    frequency = np.ones(before + after)
+    frequency[before:] = ratio
+    x = swinging(frequency, seeking(before + after), noise=0.03, tones=0.05)
+    (k, change), *_ = changes(Watch(1, DT), x)
+    assert k - before > 0
+    assert change.before == pytest.approx(1.0, abs=0.01)
+    assert change.after == pytest.approx(ratio, rel=0.02)
 
 
 def test_what_a_controller_does_to_the_amplitude_is_no_change():
