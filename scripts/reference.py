@@ -101,7 +101,7 @@ def counts() -> dict[str, int]:
     return {
         "commands": len(found) + len(workspace_commands()),
         "options": sum(len(command.options) for command in found.values()),
-        "parameters": sum(len(own_parameters(node)) for node in COMMON | LOOP),
+        "parameters": len({p.name for node in COMMON | LOOP for p in own_parameters(node)}),
     }
 
 

@@ -446,14 +446,16 @@ def swinging(hertz, tone, periods):
     return x + 0.02 * np.random.default_rng(0).standard_normal(t.size), amplitude
 
 
-def test_a_rig_that_has_changed_is_reported_and_a_better_model_proposed(start, probe, tmp_path):
+@pytest.mark.parametrize("adapt", ["propose", "always"])
+def test_a_rig_that_has_changed_gets_a_better_model(start, probe, tmp_path, adapt):
     """An oscillation of 1 Hz moves by a fifth, and interference with it."""
     (x, amplitude), delays, path = swinging(1.0, 2.6, 600), Delays(1, 4), tmp_path / "model.npz"
     gram, starts = Gram.empty(Monomials(4, 1)), np.arange(0, x.size - 160, 160)
     gram.add_trajectory(delays.embed(x[None]))
     learned = build(gram, 0.05, ("a",), 4, {}, delays)
-    with_contrast(learned, *moments(x[None], starts, 160, delays), amplitude[starts]).save(path)
-    process = start("koopman_lifter", model=path, dt=0.05, omega_h=6.0, omega_l=1.0)
+    learned = with_contrast(learned, *moments(x[None], starts, 160, delays), amplitude[starts])
+    learned.save(path)
+    process = start("koopman_lifter", model=path, dt=0.05, omega_h=6.0, omega_l=1.0, adapt=adapt)
     reports = probe.collect(DiagnosticArray, "/diagnostics")
     lifter = Ask(probe, MeasuredState, "state", Cost, "cost")
     step = 0
@@ -465,9 +467,9 @@ def test_a_rig_that_has_changed_is_reported_and_a_better_model_proposed(start, p
     def answered():
         return len(lifter.answers) == step
 
-    def swing(hertz, tone, periods):
+    def swing(hertz, tone, periods, factor=1.0):
         nonlocal step
-        for value in swinging(hertz, tone, periods)[0]:
+        for value in factor * swinging(hertz, tone, periods)[0]:
             step += 1
             lifter.publisher.publish(MeasuredState(step=step, x=[value], lockstep=True))
             if step % 200 == 0:
@@ -483,11 +485,20 @@ def test_a_rig_that_has_changed_is_reported_and_a_better_model_proposed(start, p
     swing(1.2, 2.1, 280)
     probe.spin_until(lambda: "keeping samples" in process.log.read_text(), "the frequency")
     swing(1.2, 2.1, 610)
-    probe.spin_until(lambda: said("a better model is proposed"), "a proposal")
-    (proposed,) = tmp_path.glob("model-*.npz")
-    assert f"ros2 param set /koopman_lifter model {proposed}" in process.log.read_text()
-    assert set_parameters(probe, "koopman_lifter", model=str(proposed)).successful
-    assert lifter(step + 1, x=[0.0]).model_id == proposed.stem.removeprefix("model-")
+    taken = {"propose": "a better model is proposed", "always": "a new model is on trial"}[adapt]
+    probe.spin_until(lambda: said(taken), taken)
+    (better,) = tmp_path.glob("model-*.npz")
+    if adapt == "propose":
+        assert f"ros2 param set /koopman_lifter model {better}" in process.log.read_text()
+        assert set_parameters(probe, "koopman_lifter", model=str(better)).successful
+    swing(1.2, 2.1, 1)
+    assert lifter.answers[-1].model_id == better.stem.removeprefix("model-")
+    if adapt == "always":
+        swing(1.2, 2.1, 610, factor=1.5)
+        probe.spin_until(lambda: f"back to {path}" in process.log.read_text(), "the model before")
+        assert "the oscillation is 1.5 times what it was" in process.log.read_text()
+        swing(1.2, 2.1, 1)
+        assert lifter.answers[-1].model_id == learned.model_id
 
 
 def test_an_inactive_lifter_is_silent(fresh_lifter, probe):

@@ -15,6 +15,9 @@ Pearson 1957), and the candidate is better if
 
 and its one-step error is not larger. Its projector is scaled so that the mean energy stays as it
 was, and with it what was tuned for the model in use.
+
+A candidate that is used at once is on trial: for as many periods again the oscillation is compared
+with what it was before (:func:`growth`).
 """
 
 from __future__ import annotations
@@ -191,6 +194,21 @@ def amplitudes(windows: NDArray[np.float64], frequency: float) -> NDArray[np.flo
     centred = windows - windows.mean(axis=2, keepdims=True)
     lines = np.abs(centred @ taper) / np.where(usual > 0.0, usual, 1.0)
     return np.asarray(np.sqrt((lines**2).sum(axis=1)))
+
+
+def growth(before: Samples, after: Samples, frequency: float) -> tuple[float, bool]:
+    """Return by which factor an oscillation has grown, and whether it has grown for sure.
+
+    Of either samples the later half counts, in which a controller has had time to settle;
+    ``frequency`` is in cycles a sample. Sure are ``CANDIDATE.better`` standard errors of the mean
+    ln amplitude, and a factor of ``CANDIDATE.worse``.
+    """
+    windows = [cut(samples, round(CANDIDATE.window / frequency)) for samples in (before, after)]
+    levels = np.log(amplitudes(np.concatenate(windows), frequency))
+    parts = [part[len(part) // 2 :] for part in np.split(levels, [len(windows[0])])]
+    rise = float(parts[1].mean() - parts[0].mean())
+    error = math.sqrt(sum(part.var(ddof=1) / len(part) for part in parts))
+    return math.exp(rise), rise > max(CANDIDATE.better * error, math.log(CANDIDATE.worse))
 
 
 class Energies(NamedTuple):

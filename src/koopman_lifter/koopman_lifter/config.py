@@ -65,6 +65,13 @@ class LifterConfig(Settings):
         read_only=True,
     )
 
+    adapt: str = parameter(
+        "propose",
+        "a better model after a change is proposed to the operator, used at once (always; given "
+        "back if the oscillation grows) or not looked for (never)",
+        choices=("never", "propose", "always"),  # on and off are booleans in YAML
+    )
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.measured:

@@ -7,11 +7,13 @@ import time
 from array import array
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from koop_msgs.msg import Cost, MeasuredState
 from numpy.typing import NDArray
+from rclpy.parameter import Parameter
 
 from koop_core.config.constraint import Constraint
 from koop_core.config.fields import Source, check_fields, read_field
@@ -116,6 +118,14 @@ class BoundedSignal:
         return left
 
 
+class Trial(NamedTuple):
+    """A new model on trial: the file of the one before, the oscillation [Hz] and samples of it."""
+
+    before: Path
+    frequency: float
+    samples: candidate.Samples
+
+
 class LifterRun(Run):
     """A lifter with its model, if it has one, from the first state on."""
 
@@ -128,6 +138,7 @@ class LifterRun(Run):
         self._candidate: KoopmanModel | None = None
         self._change: Change | None = None
         self._search: Search | None = None
+        self._trial: Trial | None = None
         self._source, self._detector = config.source, config.detector_params()
         self._answer = codec(Cost).new()
         self._answer.dt, self._answer.margin = config.dt, math.nan
@@ -198,8 +209,10 @@ class LifterRun(Run):
         if self._input.step is None:
             return OK, "no state yet", values
         self._note(self._watch.look())
-        if self._change is not None:
+        if self._change is not None and config.adapt != "never":
             self._seek_model()
+        if self._trial is not None and self._kept.full:
+            self._judge(self._trial)
         if (frequency := self._watch.frequency) is not None:
             values["frequency"] = frequency
         values |= {"step": self._answer.step, "r": self._answer.r}
@@ -208,6 +221,8 @@ class LifterRun(Run):
         if self._foreign is not None and self._foreign.too_fast(self._input.count):
             text = f"'{self._topic}' is faster than one message in dt = {config.dt:g} s"
             return WARN, text, values
+        if self._trial is not None:
+            return WARN, "the rig has changed: a new model is on trial", values
         if wait := self._filling():
             text = f"no cost until {wait * config.dt:.1f} s more fill the delay line"
             return OK, text, values
@@ -329,7 +344,7 @@ class LifterRun(Run):
     def _end_search(self) -> None:
         if self._search is not None:
             self._search.close()
-        self._search, self._proposed = None, ""
+        self._search, self._trial, self._proposed = None, None, ""
         self._kept = candidate.room(self._n or 1)
 
     def _seek_model(self) -> None:
@@ -340,23 +355,50 @@ class LifterRun(Run):
             self._node.get_logger(),
             self._watch.frequency,
         )
+        if frequency is None:
+            return
         if self._search is not None:
             if (outcome := self._search.outcome()) is None:
                 return
+            trial = Trial(chosen.path, frequency, self._kept)
             self._end_search()
             if not outcome.file:
                 logger.info(f"no better model yet: {outcome.text}")
                 return
+            if config.adapt == "always":
+                logger.warning(f"{outcome.text}: in use from now on, on trial")
+                self._set_model(outcome.file)
+                self._trial = trial
+                self._kept = candidate.room(self._n, trial.samples.steps.size)
+                return
             self._proposed = f"; a better model is proposed: set 'model' to {outcome.file}"
             name = self._node.get_fully_qualified_name()
             logger.warning(f"{outcome.text}: ros2 param set {name} model {outcome.file}")
-        elif self._proposed or model is None or frequency is None or self._source != cost.LIFTED:
+        elif self._proposed or model is None or self._source != cost.LIFTED:
             return
         elif not self._kept.steps.size and chosen.path != shipped_model():
             self._kept = candidate.room(self._n, candidate.size_of(frequency, config.dt))
             logger.info("keeping samples to learn a model of the rig as it is now")
         elif self._kept.full and self._kept.steps.size:
             self._search = Search(model, chosen.path, self._kept, frequency, config.omega_h)
+
+    def _judge(self, trial: Trial) -> None:
+        """Keep the new model, or give it back if the oscillation has grown under it."""
+        dt, logger = self._node.parameters[LifterConfig].dt, self._node.get_logger()
+        factor, has_grown = candidate.growth(trial.samples, self._kept, trial.frequency * dt)
+        text = f"the oscillation is {factor:.3g} times what it was before model {self._loaded.id}"
+        self._end_search()
+        if has_grown:
+            logger.warning(f"{text}: back to {trial.before}")
+            self._set_model(str(trial.before))
+        else:
+            logger.info(f"{text}, which stays in use")
+
+    def _set_model(self, file: str) -> None:
+        """Set the parameter, as an operator does: between two samples, recorded and replayed."""
+        (result,) = self._node.set_parameters([Parameter("model", value=file)])
+        if not result.successful:
+            self._node.get_logger().error(f"{file} is not used: {result.reason}")
 
     def _use(self, model: KoopmanModel | None) -> None:
         self._loaded = LoadedModel(model)

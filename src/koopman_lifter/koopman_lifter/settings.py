@@ -59,6 +59,9 @@ class CandidateSettings(Settings):
         2.0, "standard errors of the rank correlation by which the candidate's is higher", low=0.0,
         origin="one in 44 where they are equal",
     )  # fmt: skip
+    worse: float = judged(
+        1.2, "factor by which the oscillation grows under a model that is given back", low=1.0
+    )
 
 
 @dataclass(frozen=True)

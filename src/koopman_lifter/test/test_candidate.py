@@ -12,6 +12,7 @@ from koopman_lifter.candidate import (
     amplitudes,
     cut,
     energies,
+    growth,
     keep,
     learn_candidate,
     room,
@@ -109,6 +110,14 @@ def test_of_a_rig_that_is_as_it_was_or_of_noise_no_model_is_better():
     assert np.abs(candidate.eigenvalues).max() < 1.01
     with pytest.raises(InputError, match="too few"):
         learn_candidate(model, samples_of(noise[:2000]), 1.0, OMEGA_H)
+
+
+@pytest.mark.parametrize(("factor", "grown"), [(0.5, False), (1.1, False), (1.3, True)])
+def test_an_oscillation_that_grew_is_told_from_one_that_comes_and_goes(factor, grown):
+    (before, _), (after, _) = (signal(1.0, 2.6, seed=seed) for seed in (0, 1))
+    ratio, has_grown = growth(samples_of(before), samples_of(factor * after), 1.0 * DT)
+    assert ratio == pytest.approx(factor, rel=0.05)
+    assert has_grown == grown
 
 
 def test_a_better_model_is_written_beside_the_one_in_use(tmp_path):
