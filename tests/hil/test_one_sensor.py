@@ -13,7 +13,6 @@ from koop_lab.cli.main import main
 from koop_loop.training import trajectory_kernel
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
-from vdp_plant.waves import waves_of
 
 DT = 0.02
 PLANT = PlantConfig(dt=DT)
@@ -31,12 +30,11 @@ def record(path):
             writer.add_connection(topic, KIND, typestore=STORE) for topic in ("/pressure", "/knob")
         )
         states, p = np.empty((2, round(REST / DT))), PLANT.params()
-        waves = waves_of(p, states.shape[1])
         at = 10**18
         for theta in rng.uniform(-5.0, 2.0, 40):
             message = STORE.types[KIND](data=float(theta))
             writer.write(knob, at, STORE.serialize_cdr(message, KIND))
-            assert trajectory_kernel(p, waves, *rng.uniform(-3, 3, 2), theta, states)
+            assert trajectory_kernel(p, *rng.uniform(-3, 3, 2), theta, states)
             for value in states[0]:
                 at += round(DT * 1e9)
                 message = STORE.types[KIND](data=float(value))
@@ -76,6 +74,6 @@ def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
         sensor.publish(Float64(data=dynamics.measure(params, k, x, y)[0]))
         probe.spin_until(lambda n=heard: len(turned) > n, f"an answer to sample {k}")
         (theta[k],) = turned[-1].theta
-        x, y, applied = dynamics.advance(params, k, x, y, applied, theta[k], 0.0)
+        x, y, applied = dynamics.advance(params, k, x, y, applied, theta[k])
     error = np.abs(theta[-round(WATCHED / DT) :] - PLANT.theta_star)
     assert error.mean() < 0.8  # it began 2 from the optimum

@@ -105,7 +105,7 @@ def test_every_number_of_a_sentence_stands_in_the_table_it_cites(quick: Quick) -
         for actual in number.findall(text):
             assert actual in carried, f"{actual} of '{claim.text}' is not in {claim.table}"
             checked += 1
-    assert checked > 15
+    assert checked > 12
 
 
 @pytest.mark.slow
@@ -121,10 +121,10 @@ def test_every_table_is_a_csv(quick: Quick) -> None:
 @pytest.mark.slow
 def test_the_summary_opens_the_page_and_is_what_the_command_prints(quick: Quick) -> None:
     said = summary.sentences(summary.by_name(quick.sections))
-    assert len(said) == 6
+    assert len(said) == 5
     page = (quick.out / "report.html").read_text()
     assert page.index(html.escape(said[0].text)) < page.index("<h2")
-    assert quick.printed.splitlines()[:6] == [f"- {claim.text}" for claim in said]
+    assert quick.printed.splitlines()[:5] == [f"- {claim.text}" for claim in said]
 
 
 @pytest.mark.slow

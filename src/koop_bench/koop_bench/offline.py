@@ -83,7 +83,7 @@ def kernel_run(loop: TimedLoop) -> Run:
 
     def once() -> NDArray[np.float64]:
         memory = LoopMemory(cost.initial(), loop.esc.initial())
-        run_kernel(loop.plant.params(), parameters, memory, work, *start, *buffers, None)
+        run_kernel(loop.plant.params(), parameters, memory, work, *start, *buffers)
         return buffers[-1]
 
     return once

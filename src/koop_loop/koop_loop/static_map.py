@@ -6,7 +6,6 @@ drift. Here theta rests at theta* for one whole period of it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,25 +16,26 @@ from koop_loop.metrics import LOGGING_START, Metrics, evaluate
 from koop_loop.parameters import LoopParameters
 from koop_loop.settings import METRICS
 from koopman_lifter.model import KoopmanModel
-from vdp_plant.config import PlantConfig
 
 SETTLING = LOGGING_START  # [s] before r counts: the paper's transient
 UNLIMITED = 1e6  # limits of a theta that is held
 
-Cost = Callable[[float, float], NDArray[np.float64]]
-"""Returns r of every step at a constant theta for a duration [s]."""
 
-
-def settled(plant: PlantConfig, cost: Cost, theta: float) -> NDArray[np.float64]:
+def settled(
+    parameters: LoopParameters, model: KoopmanModel | None, theta: float
+) -> NDArray[np.float64]:
     """Return r at constant ``theta`` over one period of the damping drift, without transient."""
+    plant, esc = parameters.plant.knob(0, coupling=()), parameters.esc.knob(0)
+    held = min(max(theta, plant.theta_min), plant.theta_max)  # what the actuator can reach
+    still = replace(
+        esc, theta_initial=held, step_size=0.0, theta_min=-UNLIMITED, theta_max=UNLIMITED
+    )
     drift = plant.drift_frequency
     period = 2.0 * np.pi / drift if drift > 0.0 else METRICS.without_drift
-    return cost(theta, SETTLING + period)[round(SETTLING / plant.dt) :]
-
-
-def optimal_cost(plant: PlantConfig, cost: Cost) -> float:
-    """Return r*, the mean of the settled cost at theta*, for the metric e_r^ss."""
-    return float(np.nanmean(settled(plant, cost, plant.theta_star)))
+    steps = round((SETTLING + period) / plant.dt)
+    resting = replace(plant, theta_initial=held)
+    r = simulate(resting, parameters.lifter, still, model, steps).r
+    return r[round(SETTLING / plant.dt) :]
 
 
 def performance(
@@ -56,17 +56,6 @@ def performance(
     t, theta, r : ndarray, shape (M,)
         Time [s], control input and cost.
     """
-    plant, esc = parameters.plant.knob(0, coupling=()), parameters.esc.knob(0)
-
-    def cost(held: float, duration: float) -> NDArray[np.float64]:
-        held = min(max(held, plant.theta_min), plant.theta_max)  # what the actuator can reach
-        still = replace(
-            esc,
-            theta_initial=held, step_size=0.0, theta_min=-UNLIMITED, theta_max=UNLIMITED,
-        )  # fmt: skip
-        resting = replace(plant, theta_initial=held)
-        steps = round(duration / plant.dt)
-        return simulate(resting, parameters.lifter, still, model, steps).r
-
-    r_star = optimal_cost(plant, cost)
+    at_optimum = settled(parameters, model, parameters.plant.knob(0, coupling=()).theta_star)
+    r_star = float(np.nanmean(at_optimum))
     return evaluate(t, theta, r, parameters.plant.theta_star, r_star)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,14 +16,12 @@ from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
-from vdp_plant import waves
+from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
-from vdp_plant.waves import Waves
 
 STATE_NAMES = ("x", "y")
 PLAIN = Delays(len(STATE_NAMES))  # the state as it is measured
-Sense = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -42,12 +40,7 @@ class TrainingConfig(Settings):
 
 @njit()
 def trajectory_kernel(
-    plant: PlantParams,
-    shared: Waves,
-    x: float,
-    y: float,
-    theta: float,
-    states: NDArray[np.float64],
+    plant: PlantParams, x: float, y: float, theta: float, states: NDArray[np.float64]
 ) -> bool:
     """Fill ``states``, shape (2, M), with x'(t_k) at constant theta; False if it diverges.
 
@@ -55,8 +48,8 @@ def trajectory_kernel(
     """
     applied = min(max(theta, plant.theta_min), plant.theta_max)
     for k in range(states.shape[1]):
-        states[0, k], states[1, k] = waves.measure(plant, shared, k, x, y)
-        x, y, applied = waves.advance(plant, shared, k, x, y, applied, theta, 0.0)
+        states[0, k], states[1, k] = dynamics.measure(plant, k, x, y)
+        x, y, applied = dynamics.advance(plant, k, x, y, applied, theta)
         if not (np.isfinite(x) and np.isfinite(y)):
             return False
     return True
@@ -77,11 +70,10 @@ def trajectories(
     rng = np.random.default_rng(config.seed)
     states = np.empty((2, round(config.duration / plant.dt) + 1))
     p = plant.params()
-    shared = waves.waves_of(p, states.shape[1])
     for _ in range(config.trajectories):
         theta = rng.uniform(config.theta_low, config.theta_high)
         x, y = rng.uniform(-3.0, 3.0, size=2)
-        yield states if trajectory_kernel(p, shared, x, y, theta, states) else None
+        yield states if trajectory_kernel(p, x, y, theta, states) else None
 
 
 def simulated_gram(
@@ -89,11 +81,8 @@ def simulated_gram(
     config: TrainingConfig,
     delays: Delays = PLAIN,
     moments: TrajectoryMoments | None = None,
-    sense: Sense = lambda states: states,
 ) -> tuple[Gram, int]:
     """Simulate the training trajectories and sum them up, also in ``moments`` where given.
-
-    ``sense`` returns the measured channels of a trajectory, by default its states.
 
     Returns
     -------
@@ -108,10 +97,9 @@ def simulated_gram(
         if states is None:
             dropped += 1
         else:
-            sensed = sense(states)
-            gram.add_trajectory(delays.embed(sensed))
+            gram.add_trajectory(delays.embed(states))
             if moments is not None:
-                moments.add(sensed)
+                moments.add(states)
     return gram, dropped
 
 

@@ -8,11 +8,12 @@ import pytest
 
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
-from koop_loop.kernel import LoopMemory, control
+from koop_loop.kernel import LoopMemory
 from koop_loop.loop import controller
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load
+from relay_esc import relay
 from relay_esc.config import EscConfig
 from relay_esc.relay import RelayState
 from relay_esc.swing import OPEN
@@ -48,16 +49,18 @@ def run(plant, p, memory, work, x, y, who, at, joins, theta):
                         relay_state.u, 1, 0.0, 0.0, 0, False, relay_state.commanded,
                         relay_state.output, OPEN,
                     )  # fmt: skip
-            _, detector, relay_state = control(
-                source, lifting, detector_params, relay_params, detector, relay_state,
-                to_lifter, to_controller, False, False, k, state, work,
-            )  # fmt: skip
+            r, _, settling, detector = cost.answer(
+                source, lifting, detector_params, detector, to_lifter, k, state, work
+            )
+            relay_state, _, _ = relay.answer(
+                relay_params, relay_state, to_controller, False, settling, r, False
+            )
         elif who == CONTROLLER:  # the lifter goes on
             _, _, _, detector = cost.answer(
                 source, lifting, detector_params, detector, first, k, state, work
             )
         theta[k] = relay_state.output
-        x, y, applied = dynamics.advance(plant, k, x, y, applied, theta[k], 0.0)
+        x, y, applied = dynamics.advance(plant, k, x, y, applied, theta[k])
 
 
 def turned_for_nothing(who, joins):

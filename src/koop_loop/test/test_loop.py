@@ -54,7 +54,7 @@ def test_the_compiled_loop_is_the_kernels_called_one_by_one(configs):
         state, _, _ = relay.answer(esc.params(plant.dt), state, arrival, False, settling, r, False)
         np.testing.assert_equal((result.r[k], result.theta[k]), (r, state.output))
         assert result.measured[k].tolist() == measured.tolist()
-        x, y, applied = dynamics.advance(plant.params(), k, x, y, applied, state.output, 0.0)
+        x, y, applied = dynamics.advance(plant.params(), k, x, y, applied, state.output)
 
 
 def test_unusable_states_hold_theta_and_the_run_goes_on():

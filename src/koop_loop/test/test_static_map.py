@@ -8,30 +8,15 @@ import pytest
 from koop_loop.loop import simulate
 from koop_loop.metrics import evaluate
 from koop_loop.parameters import make
-from koop_loop.static_map import optimal_cost, performance
-from vdp_plant.config import PlantConfig
+from koop_loop.static_map import performance, settled
 
 
-def test_the_transient_is_left_out_and_the_drift_averages_away():
-    plant = PlantConfig(drift_frequency=0.05, theta_star=1.5)
-
-    def cost(theta, duration):
-        t = np.arange(round(duration / plant.dt)) * plant.dt
-        return np.where(t < 100.0, 1e9, theta**2 + np.sin(0.05 * t))
-
-    # the last sample of the period is cut off by at most one step: 1 / 125 664 of the sine
-    assert optimal_cost(plant, cost) == pytest.approx(2.25, abs=1e-4)
-
-
-def test_without_drift_the_cost_is_averaged_all_the_same():
-    asked = []
-
-    def cost(theta, duration):
-        asked.append((theta, duration))
-        return np.full(round(duration / 0.005), 7.0)
-
-    assert optimal_cost(PlantConfig(drift_frequency=0.0), cost) == 7.0
-    assert asked == [(-3.0, 300.0)]
+@pytest.mark.parametrize(("drift", "averaged"), [(0.1, 2.0 * np.pi / 0.1), (0.0, 200.0)])
+def test_a_settled_cost_covers_one_period_of_the_drift_without_the_transient(drift, averaged):
+    loop = make({"vdp_plant": {"drift_frequency": drift}, "koopman_lifter": {"cost": "raw"}})
+    r = settled(loop, None, -3.0)
+    assert r.size == round(averaged / 0.005)
+    assert r.min() > 0.0  # the detector begins at 0
 
 
 def test_a_run_that_rests_at_the_optimum_has_hardly_an_error():

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from koop_loop.training import TrainingConfig, train
-from koop_study.simulation.case import Case, ScenarioConfig, SensingConfig
-from koop_study.simulation.learning import model_of
+from koop_study.simulation.case import Case
+from koop_study.simulation.run import model_of
 from vdp_plant.config import PlantConfig
 
 TRAINING = TrainingConfig(trajectories=30, duration=40.0)
@@ -33,21 +30,3 @@ def test_contrast_cancels_what_both_states_share() -> None:
     # the centre of the oscillation is (x, y) = (6, 0); a drifting limit cycle's mean is near it
     assert constant / y == pytest.approx(6.0, abs=0.4)
     assert not model.projector[0, 3:].any()
-
-
-def test_contrast_cancels_interference_in_the_proportion_in_which_the_states_have_it() -> None:
-    scenario = ScenarioConfig(interference_gain_y=2.0)
-    training = replace(TRAINING, degree=1, modes=2)
-    model = model_of(Case(cost="contrast", scenario=scenario, training=training))
-    assert model is not None
-    x, y = model.projector[0, 1:3]
-    assert x + 2.0 * y == pytest.approx(0.0, abs=0.01 * np.hypot(x, y))
-
-
-def test_a_model_of_one_sensor_has_its_delays() -> None:
-    sensing = SensingConfig(channels="y", delays=4, spacing=0.1)
-    training = replace(TRAINING, degree=1, modes=2)
-    model = model_of(Case(cost="contrast", training=training, sensing=sensing))
-    assert model is not None
-    assert (model.delays.channels, model.delays.count, model.delays.every) == (1, 4, 20)
-    assert model.projector.shape[1] == 1 + 4

@@ -52,8 +52,3 @@ def test_a_ramp_falls_from_two_to_minus_five_after_settling() -> None:
     assert theta.size == r.size == 10_000
     assert (theta[0], theta[-1]) == (2.0, -5.0)
     assert r.min() > 0.0  # settled: the detector's first zeros are left out
-
-
-def test_settled_cost_covers_one_period_of_the_drift() -> None:
-    r = maps.settled(override(Case(), {"cost": "raw", "plant.drift_frequency": 0.1}), -3.0)
-    assert r.size == round(2.0 * np.pi / 0.1 / 0.005)

@@ -82,22 +82,12 @@ def test_the_actuator_moves_at_its_rate_and_stops_at_its_bounds():
     config = PlantConfig(theta_min=-0.5, theta_max=2.0, theta_rate=20.0, theta_initial=0.0)
     applied, actual = 0.0, []
     for command in [5.0] * 4 + [-5.0] * 3 + [1.0] * 2:  # 0.1 a step
-        _, _, applied = dynamics.advance(config.params(), 0, 1.0, 2.0, applied, command, 0.0)
+        _, _, applied = dynamics.advance(config.params(), 0, 1.0, 2.0, applied, command)
         actual.append(applied)
     np.testing.assert_allclose(actual, [0.1, 0.2, 0.3, 0.4, 0.3, 0.2, 0.1, 0.2, 0.3], atol=1e-15)
     at_once = replace(config, theta_rate=0.0).params()
-    assert dynamics.advance(at_once, 0, 1.0, 2.0, 0.0, 5.0, 0.0)[2] == 2.0
-    assert dynamics.advance(at_once, 0, 1.0, 2.0, 0.0, -5.0, 0.0)[2] == -0.5
-
-
-def test_a_displaced_optimum_is_the_plant_with_that_optimum_and_moves_no_limit():
-    config = PlantConfig(theta_min=-3.0)
-    there = replace(config, theta_star=config.theta_star + 1.25)
-    for command in (-9.0, -2.0, 1.0):  # at the bound -3 too
-        x, y, applied = dynamics.advance(config.params(), 7, 5.0, 1.5, 0.0, command, 1.25)
-        assert applied == max(command, -3.0)
-        ex, ey, _ = dynamics.advance(there.params(), 7, 5.0, 1.5, 0.0, command, 0.0)
-        np.testing.assert_allclose((x, y), (ex, ey), rtol=1e-12)
+    assert dynamics.advance(at_once, 0, 1.0, 2.0, 0.0, 5.0)[2] == 2.0
+    assert dynamics.advance(at_once, 0, 1.0, 2.0, 0.0, -5.0)[2] == -0.5
 
 
 def test_the_compiled_kernel_is_the_python_function():

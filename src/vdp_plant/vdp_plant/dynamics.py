@@ -84,36 +84,10 @@ def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[floa
     Returns x and y at t_{k+1}; not finite if the integration diverges.
     """
     h = p.dt
-    t = k * h
-    eps0 = damping(p, t)
-    force0 = forcing(p, t)
-    half = 0.5 * h
-    eps1 = damping(p, t + half)
-    force1 = forcing(p, t + half)
-    eps2 = damping(p, t + h)
-    force2 = forcing(p, t + h)
-    return runge_kutta(p, eps0, force0, eps1, force1, eps2, force2, x, y, theta)
-
-
-@njit()
-def runge_kutta(
-    p: PlantParams,
-    eps0: float,
-    force0: float,
-    eps1: float,
-    force1: float,
-    eps2: float,
-    force2: float,
-    x: float,
-    y: float,
-    theta: float,
-) -> tuple[float, float]:
-    """Integrate one step by the classical method, given what depends on time alone.
-
-    ``eps0`` and ``force0`` are of the step's begin, 1 of its middle, 2 of its end.
-    """
-    h = p.dt
-    half = 0.5 * h
+    t, half = k * h, 0.5 * h
+    eps0, force0 = damping(p, t), forcing(p, t)
+    eps1, force1 = damping(p, t + half), forcing(p, t + half)
+    eps2, force2 = damping(p, t + h), forcing(p, t + h)
     k1x = y
     k1y = acceleration(p, eps0, force0, x, y, theta)
     k2x = y + half * k1y
@@ -147,16 +121,15 @@ def limit(theta: float, applied: float, low: float, high: float, most: float) ->
 
 @njit()
 def advance(
-    p: PlantParams, k: int, x: float, y: float, applied: float, theta: float, displaced: float
+    p: PlantParams, k: int, x: float, y: float, applied: float, theta: float
 ) -> tuple[float, float, float]:
     """Advance the plant by one step under a commanded theta: actuate, then integrate.
 
-    ``applied`` is the theta that acted in the step before, ``displaced`` how far the optimum is
-    from ``p.theta_star``: the oscillator sees only theta - theta*, the actuator theta itself.
-    Returns x and y at t_{k+1} and the theta that acted.
+    ``applied`` is the theta that acted in the step before. Returns x and y at t_{k+1} and the theta
+    that acted.
     """
     applied = actuate(p, applied, theta)
-    x, y = step(p, k, x, y, applied - displaced)
+    x, y = step(p, k, x, y, applied)
     return x, y, applied
 
 

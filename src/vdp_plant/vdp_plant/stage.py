@@ -63,7 +63,7 @@ def step_next(stage: PlantStage, progress: PlantProgress) -> tuple[int, PlantPro
     k += 1
     if k >= stage.steps or k % WINDOW == 0:
         return OTHER, progress
-    x, y, applied = dynamics.advance(p, k - 1, progress.x, progress.y, progress.applied, theta, 0.0)
+    x, y, applied = dynamics.advance(p, k - 1, progress.x, progress.y, progress.applied, theta)
     if not (math.isfinite(x) and math.isfinite(y)):
         return OTHER, progress
     seconds, nanoseconds = divmod(round(k * p.dt * 1e9), 1_000_000_000)

@@ -120,16 +120,6 @@ def _contrast(table: Table) -> str:
     )
 
 
-def _the_limit(table: Table) -> str:
-    still, *_, last = _rows(table, "contrast")
-    at, lagging = still["iae_median"], last["iae_median"]
-    verdict = "grows" if _number(lagging) > 1.1 * _number(at) else "hardly changes"
-    return (
-        "Contrast relies on interference that reaches both states at the same time: with a lag of "
-        f"{last['value']} s between them its IAE {verdict}, from {at} to {lagging}."
-    )
-
-
 def _number(text: str) -> float:
     return float("inf") if text == "diverged" else float(text)
 
@@ -141,5 +131,4 @@ SENTENCES: tuple[tuple[str, Callable[[Table], str]], ...] = (
     ("static_maps", _convexity),
     ("modes_spread", _modes),
     ("robustness", _contrast),
-    ("ablation_lag", _the_limit),
 )

@@ -1,1 +1,1 @@
-"""The paper's loop under disturbances: cases, models, runs, static maps."""
+"""The paper's loop: cases, models, runs, static maps."""

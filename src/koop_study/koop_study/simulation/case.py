@@ -8,71 +8,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from koop_core.config.parameter import ConfigError, Settings, parameter, refuse_unknown
-from koop_loop.training import STATE_NAMES, TrainingConfig
+from koop_core.config.parameter import ConfigError, refuse_unknown
+from koop_loop.training import TrainingConfig
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.delays import Delays
 from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig
 
 COSTS = ("raw", "lifted", "contrast")
-CHANNELS = {"both": (0, 1), "x": (0,), "y": (1,)}
-
-
-@dataclass(frozen=True)
-class ScenarioConfig(Settings):
-    """Disturbances of one run; the defaults are the paper's: none."""
-
-    noise: float = parameter(
-        0.0, "standard deviation of white noise on each measured state", low=0.0, high=1e3
-    )
-    lost: float = parameter(0.0, "share of measured states that never arrive", low=0.0, high=0.99)
-    optimum_swing: float = parameter(
-        0.0, "amplitude of a sinusoidal motion of theta*", low=0.0, high=10.0
-    )
-    optimum_period: float = parameter(1000.0, "period of that motion", unit="s", low=1.0, high=1e6)
-    optimum_jump: float = parameter(0.0, "theta* jumps by this much and back", low=-10.0, high=10.0)
-    jump_every: float = parameter(
-        800.0, "time between two jumps of theta*", unit="s", low=1.0, high=1e6
-    )
-    interference_gain_y: float = parameter(
-        1.0, "interference on the second state relative to the first", low=-10.0, high=10.0
-    )
-    interference_lag_y: float = parameter(
-        0.0, "delay of the interference on the second state", unit="s", low=0.0, high=100.0
-    )
-
-
-@dataclass(frozen=True)
-class SensingConfig(Settings):
-    """Measured states and delays; the defaults are the paper's: both states, no delays."""
-
-    channels: str = parameter("both", "measured states", choices=tuple(CHANNELS))
-    delays: int = parameter(1, "samples of each of them that make up the state", low=1, high=64)
-    spacing: float = parameter(
-        0.0, "time between two of these samples", unit="s", low=0.0, high=100.0
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if (self.delays > 1) != (self.spacing > 0.0):
-            raise ConfigError("delays and spacing: both or none; one sample has no spacing")
-
-    @property
-    def indices(self) -> NDArray[np.int64]:
-        """Positions of the measured channels in the plant's state."""
-        return np.array(CHANNELS[self.channels], dtype=np.int64)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the measured channels."""
-        return tuple(STATE_NAMES[i] for i in CHANNELS[self.channels])
-
-    def embedding(self, dt: float) -> Delays:
-        """Return the delays at a sampling time [s]."""
-        return Delays.spaced(len(CHANNELS[self.channels]), self.delays, self.spacing, dt)
 
 
 @dataclass(frozen=True)
@@ -93,16 +36,12 @@ class Case:
     lifter: LifterConfig = field(default_factory=LifterConfig)
     esc: EscConfig = field(default_factory=EscConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
-    scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
-    sensing: SensingConfig = field(default_factory=SensingConfig)
 
     def __post_init__(self) -> None:
         if self.cost not in COSTS:
             raise ConfigError(f"cost = {self.cost!r}: must be one of {', '.join(COSTS)}")
         if not 0.0 < self.duration <= 1e6:
             raise ConfigError(f"duration = {self.duration}: must be above 0 and at most 1e6 s")
-        if self.cost == "raw" and self.sensing.delays > 1:
-            raise ConfigError("sensing.delays: has no effect with the cost 'raw'")
 
     @property
     def steps(self) -> int:

@@ -17,7 +17,7 @@ from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from koop_loop.loop import controller, initial_state
 from koop_study.simulation.case import case_of
-from koop_study.simulation.learning import model_of
+from koop_study.simulation.run import model_of
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 from relay_esc import directions

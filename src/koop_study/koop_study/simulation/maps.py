@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_loop import static_map
+from koop_core.kernels import njit
+from koop_core.stream.arrival import Arrival
+from koop_loop.kernel import Controller
+from koop_loop.loop import controller, initial_state
 from koop_loop.static_map import SETTLING
 from koop_study.simulation.case import Case
-from koop_study.simulation.run import run
+from koop_study.simulation.run import loop_of
+from koopman_lifter import cost
+from koopman_lifter.cost import Workspace
+from vdp_plant import dynamics
+from vdp_plant.dynamics import PlantParams
 
 HIGH, LOW = 2.0, -5.0  # the paper's ramp (section 4)
 SPACING = 0.25  # of the points that ramp and settled map share
@@ -70,11 +76,31 @@ def ramp(case: Case, duration: float) -> tuple[NDArray[np.float64], NDArray[np.f
     theta, r : ndarray, shape (M,)
         The ramp itself, without the settling.
     """
-    case = replace(case, duration=duration + SETTLING)
-    settle = round(SETTLING / case.plant.dt)
-    falling = np.linspace(HIGH, LOW, case.steps - settle, dtype=np.float64)
-    trace = run(case, schedule=np.concatenate([np.full(settle, HIGH), falling]))
-    return falling, trace.r[settle:]
+    loop, model = loop_of(case)
+    settle, steps = (round(time / case.plant.dt) for time in (SETTLING, duration))
+    falling = np.linspace(HIGH, LOW, steps, dtype=np.float64)
+    theta = np.concatenate([np.full(settle, HIGH), falling])
+    r = np.empty(theta.size)
+    parts = controller(loop.lifter, loop.esc, model)
+    work = cost.workspace(parts.lifting)
+    _follow(case.plant.params(), parts, work, *initial_state(case.plant), theta, r)
+    return falling, r[settle:]
+
+
+@njit()
+def _follow(
+    plant: PlantParams, parts: Controller, work: Workspace, x: float, y: float,
+    theta: NDArray[np.float64], r: NDArray[np.float64],
+) -> None:  # fmt: skip
+    """Fill ``r`` with the cost along theta, both shape (M,)."""
+    detector, applied, state = cost.initial(), theta[0], np.empty(2)
+    for k in range(theta.size):
+        arrival = Arrival.NEXT if k else Arrival.RESTART
+        state[0], state[1] = dynamics.measure(plant, k, x, y)
+        r[k], _, _, detector = cost.answer(
+            parts.source, parts.lifting, parts.detector, detector, arrival, k, state, work
+        )
+        x, y, applied = dynamics.advance(plant, k, x, y, applied, theta[k])
 
 
 def binned(theta: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,22 +111,3 @@ def binned(theta: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.flo
     nearest = np.rint((HIGH - theta) / SPACING).astype(np.int64)
     sums = np.bincount(nearest, r, minlength=centres.size)
     return np.asarray(sums / np.bincount(nearest, minlength=centres.size))
-
-
-def settled(case: Case, theta: float) -> NDArray[np.float64]:
-    """Return r at constant ``theta`` over one period of the damping drift, without transient."""
-    return static_map.settled(case.plant, _resting(case), theta)
-
-
-def optimal_cost(case: Case) -> float:
-    """Return r* of the case's loop, with the optimum at rest where the plant has it."""
-    still = replace(case.scenario, optimum_swing=0.0, optimum_jump=0.0)
-    return static_map.optimal_cost(case.plant, _resting(replace(case, scenario=still)))
-
-
-def _resting(case: Case) -> static_map.Cost:
-    def cost(theta: float, duration: float) -> NDArray[np.float64]:
-        longer = replace(case, duration=duration)
-        return run(longer, schedule=np.full(longer.steps, theta)).r
-
-    return cost

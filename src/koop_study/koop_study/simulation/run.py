@@ -1,8 +1,4 @@
-"""Run a case, closed or along a given theta, and measure it.
-
-A moving optimum needs no other plant: the oscillator sees only theta - theta*, so an optimum that
-is displaced by s is the same plant fed with theta - s.
-"""
+"""Run a case and measure it."""
 
 from __future__ import annotations
 
@@ -10,95 +6,58 @@ import math
 from dataclasses import replace
 from functools import lru_cache
 
-import numpy as np
-from numpy.typing import NDArray
-
 from koop_core.config.parameter import ConfigError
-from koop_loop.loop import Exposure, LoopResult, check_fit, simulate
+from koop_loop import static_map
+from koop_loop.loop import LoopResult, check_fit, simulate
 from koop_loop.metrics import evaluate
-from koop_study.simulation.case import Case, ScenarioConfig
-from koop_study.simulation.learning import model_of, second_channel
-from koopman_lifter.config import LifterConfig
+from koop_loop.parameters import LoopParameters
+from koop_loop.training import train
+from koop_study.simulation.case import Case
+from koopman_lifter.config import ModelConfig
 from koopman_lifter.model import KoopmanModel
-from vdp_plant.config import PlantConfig
-from vdp_plant.dynamics import PlantParams
-from vdp_plant.waves import Waves, drive_of, interference_of
+from vdp_plant.config import PaceConfig, PlantConfig
 
-BOTH = np.arange(2)  # states of the plant
+_train = lru_cache(maxsize=128)(train)  # the costs and settings of a unit share a seed's model
 
 
-# shared by the runs of a unit and by most units of a study
-_drive = lru_cache(maxsize=2)(drive_of)
-_interference = lru_cache(maxsize=16)(interference_of)  # the seeds of a unit
+def model_of(case: Case) -> KoopmanModel | None:
+    """Return the model that the case's cost needs, trained now or remembered; None for raw.
 
-
-def kept_waves(p: PlantParams, steps: int) -> Waves:
-    """Return the part of the plant that depends on time alone, cached between runs."""
-    without_phases = p._replace(interference_phase_1=0.0, interference_phase_2=0.0)
-    return Waves(_drive(without_phases, steps), _interference(p, steps))
-
-
-@lru_cache(maxsize=1)
-def displacement(config: ScenarioConfig, steps: int, dt: float) -> NDArray[np.float64]:
-    """Return the displacement of theta*, shape (M,), the same for all seeds; empty if at rest."""
-    if config.optimum_swing == 0.0 and config.optimum_jump == 0.0:
-        return np.empty(0)
-    t = np.arange(steps, dtype=np.float64) * dt
-    swing = config.optimum_swing * np.sin(2.0 * np.pi * t / config.optimum_period)
-    jumps = config.optimum_jump * (np.floor(t / config.jump_every) % 2.0)
-    return np.asarray(swing + jumps)
-
-
-def expose(
-    config: ScenarioConfig,
-    plant: PlantConfig,
-    steps: int,
-    seed: int,
-    schedule: NDArray[np.float64] | None = None,
-    channels: NDArray[np.int64] = BOTH,
-) -> Exposure:
-    """Draw the disturbances of one run.
-
-    Parameters
-    ----------
-    config : ScenarioConfig
-        Which disturbances.
-    plant : PlantConfig
-        Whose interference and step size count.
-    steps : int
-        Length M of the run.
-    seed : int
-        Seed of noise and lost samples.
-    schedule : ndarray, shape (M,), optional
-        Control input for an open-loop run.
-    channels : ndarray of int, shape (n,)
-        Components of the measured state that the lifter receives.
+    The training plant has the paper's phases of the interference: a recording made earlier knows
+    nothing of the phase that a run will meet.
     """
-    rng = np.random.default_rng([seed, 1])
-    t = np.arange(steps, dtype=np.float64) * plant.dt
-    added: NDArray[np.float64] = np.empty((0, 2))
-    second = second_channel(config, plant, t)
-    if config.noise > 0.0 or second.size:
-        drawn = config.noise > 0.0 or config.lost > 0.0  # which is drawn after it
-        added = rng.normal(0.0, config.noise, (steps, 2)) if drawn else np.zeros((steps, 2))
-        if second.size:
-            added[:, 1] += second
-    lost: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)
-    if config.lost > 0.0:
-        lost = rng.random(steps) < config.lost
-        lost[0] = False  # the loop begins with the first state that arrives
-    return Exposure(
-        added,
-        lost,
-        displacement(config, steps, plant.dt),
-        np.empty(0) if schedule is None else schedule,
-        channels,
-        kept_waves(plant.params(), steps),
+    if case.cost == "raw":
+        return None
+    plant = replace(
+        case.plant,
+        seed=0,
+        initial_state=(),
+        theta_initial=PlantConfig.theta_initial,
+        interference_phase_1=0.0,
+        interference_phase_2=0.0,
     )
+    return _train(plant, case.training, case.cost == "contrast")
 
 
-def run(case: Case, schedule: NDArray[np.float64] | None = None) -> LoopResult:
-    """Run ``case``; with ``schedule``, shape (M,), theta follows it and the controller is idle.
+def loop_of(case: Case) -> tuple[LoopParameters, KoopmanModel | None]:
+    """Return the parameters of the case's loop, and its model.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If the parts of the case do not fit together.
+    """
+    model = model_of(case)
+    lifter = replace(case.lifter, cost="raw" if model is None else "lifted")
+    try:
+        check_fit(case.plant, lifter, case.esc, model)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    return LoopParameters(case.plant, PaceConfig(), lifter, ModelConfig(), case.esc), model
+
+
+def run(case: Case) -> LoopResult:
+    """Run ``case``.
 
     Raises
     ------
@@ -107,28 +66,8 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None) -> LoopResult:
     koop_loop.loop.LoopDiverged
         If the plant's state left the finite numbers.
     """
-    model = model_of(case)
-    lifter = lifter_of(case, model)
-    exposure = expose(
-        case.scenario, case.plant, case.steps, case.plant.seed, schedule, case.sensing.indices
-    )
-    return simulate(case.plant, lifter, case.esc, model, case.steps, exposure)
-
-
-def lifter_of(case: Case, model: KoopmanModel | None) -> LifterConfig:
-    """Return the case's lifter with its model's cost.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the parts of the case do not fit together.
-    """
-    lifter = replace(case.lifter, cost="raw" if model is None else "lifted")
-    try:
-        check_fit(case.plant, lifter, case.esc, model, case.sensing.indices.size)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
-    return lifter
+    loop, model = loop_of(case)
+    return simulate(loop.plant, loop.lifter, loop.esc, model, case.steps)
 
 
 Row = dict[str, float | None]
@@ -141,18 +80,20 @@ DIVERGED: Row = {
 """A run that diverged counts as the worst of all, not as absent."""
 
 
-def measure(case: Case, trace: LoopResult, r_star: float | None = None) -> Row:
-    """Return the paper's metrics of a run; theta* may have moved.
+def measure(case: Case, done: LoopResult, with_r_star: bool = False) -> Row:
+    """Return the paper's metrics of a run.
 
     Returns
     -------
     dict
-        ``iae``, ``ise``, ``t_theta`` (None if never reached), ``e_r_ss`` (None without an r*),
+        ``iae``, ``ise``, ``t_theta`` (None if never reached), ``e_r_ss`` (None without r*),
         ``tail`` (mean error over the last 30 %), ``reached`` and ``converged`` (1 or 0).
     """
-    displaced = displacement(case.scenario, trace.t.size, case.plant.dt)
-    theta = trace.theta - displaced if displaced.size else trace.theta
-    metrics = evaluate(trace.t, theta, trace.r, case.plant.theta_star, r_star)
+    signals = done.t, done.theta, done.r
+    if with_r_star:
+        metrics = static_map.performance(*loop_of(case), *signals)
+    else:
+        metrics = evaluate(*signals, case.plant.theta_star, None)
     return {
         "iae": metrics.iae_theta,
         "ise": metrics.ise_theta,

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import ConfigError
 from koop_loop.loop import LoopDiverged
 from koop_loop.metrics import LOGGING_START
+from koop_loop.static_map import settled as settled_cost
 from koop_loop.thinning import extremes
+from koop_loop.training import simulated_gram
 from koop_study.simulation import maps
-from koop_study.simulation.case import Case, ScenarioConfig, case_of, override
-from koop_study.simulation.learning import learn
-from koop_study.simulation.run import DIVERGED, Row, measure, run
+from koop_study.simulation.case import Case, case_of, override
+from koop_study.simulation.run import DIVERGED, Row, loop_of, measure, run
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select
 
@@ -41,7 +42,7 @@ def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) 
 
 def _figures(case: Case, with_r_star: bool) -> Row:
     try:
-        return measure(case, run(case), maps.optimal_cost(case) if with_r_star else None)
+        return measure(case, run(case), with_r_star)
     except LoopDiverged:
         return DIVERGED
 
@@ -49,7 +50,7 @@ def _figures(case: Case, with_r_star: bool) -> Row:
 def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
     """Train a model and return its modes, largest |lambda| first."""
     case = override(Case(), {**settings, "training.seed": seed})
-    gram, _ = learn(case.plant, ScenarioConfig(), case.training, case.sensing)
+    gram, _ = simulated_gram(case.plant, case.training)
     decomposed = decompose(edmd(gram), gram)
     return {
         "real": decomposed.eigenvalues.real.tolist(),
@@ -77,7 +78,8 @@ def ramp(settings: dict[str, Any], seed: int | None, duration: float) -> dict[st
 def settled(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
     """Return the settled static map: mean and the 10 and 90 % quantiles over a drift period."""
     case = case_of(settings, seed)
-    costs = [maps.settled(case, float(theta)) for theta in maps.grid()]
+    loop = loop_of(case)
+    costs = [settled_cost(*loop, float(theta)) for theta in maps.grid()]
     return {  # unusable states have no cost
         "theta": maps.grid().tolist(),
         "mean": [float(np.nanmean(r)) for r in costs],
@@ -96,7 +98,7 @@ def trace(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
     return {
         "t": (done.t[first : first + every * POINTS : every]).tolist(),
         **{name: [part.tolist() for part in _drawn(x[first:])] for name, x in signals.items()},
-        "metrics": measure(case, done, maps.optimal_cost(case)),
+        "metrics": measure(case, done, with_r_star=True),
     }
 
 

@@ -161,7 +161,7 @@ class PlantRun(Run):
         applied = self._theta_applied
         if len(applied) == 1:
             self._x, self._y, applied[0] = self._step(
-                self._params, self._k, self._x, self._y, applied[0], theta[0], 0.0
+                self._params, self._k, self._x, self._y, applied[0], theta[0]
             )
         else:
             self._x, self._y = self._step_knobs(
@@ -209,7 +209,7 @@ class PlantRun(Run):
     def _compile(self) -> None:
         """Get the kernels before the first step."""
         x, y, theta = self._x, self._y, np.array(self._theta)
-        self._step = direct(dynamics.advance, self._params, 0, x, y, theta[0], theta[0], 0.0)
+        self._step = direct(dynamics.advance, self._params, 0, x, y, theta[0], theta[0])
         if theta.size > 1:
             self._step_knobs = direct(
                 dynamics.advance_knobs, self._params, self._knobs, 0, x, y, theta, theta.copy()
