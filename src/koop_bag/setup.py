@@ -10,15 +10,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=[
-        "koop_core",
-        "koop_node",
-        "lz4",
-        "mcap",
-        "numpy",
-        "PyYAML",
-        "zstandard",
-    ],
     extras_require={
         "test": ["hypothesis", "mcap-ros2-support", "pytest", "rosbags"],
         "store": ["fsspec", "universal-pathlib", "s3fs"],

@@ -10,7 +10,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["numba", "numpy", "PyYAML"],
     extras_require={"test": ["pytest"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -10,7 +10,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_core", "koop_node"],
     extras_require={"test": ["hypothesis", "numpy", "pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",

@@ -10,13 +10,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=[
-        "koop_core",
-        "koopman_lifter",
-        "relay_esc",
-        "vdp_plant",
-        "numpy",
-    ],
     extras_require={"test": ["pytest"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -11,13 +11,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=[
-        "koop_bag",
-        "koop_core",
-        "koop_node",
-        "PyYAML",
-        "websockets",
-    ],
     extras_require={"test": ["hypothesis", "pytest"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -11,12 +11,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=[
-        "koop_core",
-        "koop_node",
-        "numpy",
-        "scipy",
-    ],
     extras_require={"test": ["pytest"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

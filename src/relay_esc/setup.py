@@ -10,7 +10,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_core", "koop_node", "numpy"],
     extras_require={"test": ["hypothesis", "pytest", "scipy"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
