@@ -112,6 +112,6 @@ def test_a_change_without_a_time_is_a_line():
 
 def test_a_scenario_with_an_aircraft_is_skipped_where_there_is_none(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jsbsim", None)
-    verdict = run(read(find("rig-jsbsim")), tmp_path)
+    verdict = run(read(find("rig-jsbsim-gusts")), tmp_path)
     assert verdict.skipped.startswith("JSBSim is not installed: pip install")
     assert not verdict.passed

@@ -13,8 +13,7 @@ from koop_core.text_table import table
 from koop_hil import chaos
 from koop_hil.chaos_verdict import judge
 from koop_hil.run import run
-from koop_hil.scenario import find, read, shipped, with_controller
-from koop_tune.folder import find_controller
+from koop_hil.scenario import find, read, shipped
 
 CHAOS = "chaos"
 
@@ -32,11 +31,6 @@ def register(commands: Any) -> None:
     )
     parser.add_argument("--all", action="store_true", help="every scenario of the workspace")
     parser.add_argument("--list", action="store_true", help="only name the scenarios")
-    parser.add_argument(
-        "--controller", type=Path, metavar="FILE",
-        help="lifter and controller of every scenario from this parameter file, or from the folder "
-        "of 'koop tune' or 'koop commission'",
-    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: recordings/TIME-hil")
     parser.set_defaults(func=main)
 
@@ -54,9 +48,6 @@ def main(args: argparse.Namespace) -> int:
     if not paths:
         raise ConfigError("name a scenario, or --all; --list shows them")
     scenarios = [read(path) for path in paths]  # a bad file is reported before an hour has passed
-    if args.controller is not None:
-        file, _ = find_controller(args.controller)
-        scenarios = [with_controller(item, file) for item in scenarios]
     out = args.out or default_folder("hil")
     verdicts = []
     for scenario in scenarios:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -198,22 +198,6 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     if scenario.sensor_topic and scenario.injects:
         raise ConfigError("inject: between the plant's 'state' and the lifter, not measured")
     return scenario
-
-
-def with_controller(scenario: Scenario, file: Path) -> Scenario:
-    """Return a scenario with the lifter and controller of a parameter file.
-
-    The scenario's theta at the start remains: it is the plant's, too.
-
-    Raises ConfigError if the file cannot be used; names it.
-    """
-    by_node = parameters.read(file, {node: parameters.NODES[node] for node in CONTROLLER})
-    try:
-        parameters.build(by_node)
-    except ConfigError as error:
-        raise ConfigError(f"{file}: {error}") from None
-    by_node.get("relay_esc", {}).pop("theta_initial", None)
-    return replace(scenario, parameters={**scenario.parameters, **by_node})
 
 
 def _event(item: Any, folder: Path) -> ScenarioEvent:

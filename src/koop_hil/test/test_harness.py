@@ -19,7 +19,6 @@ from koop_hil.scenario import (
     find,
     parse,
     read,
-    with_controller,
 )
 
 
@@ -157,20 +156,3 @@ def test_a_rig_without_its_middleware_says_how_to_get_it(tmp_path):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (1, "rig: none here: pip install cyclonedds\n")
-
-
-def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
-    scenario = read(find("rig-jsbsim-throttle"))
-    (tmp_path / "model.npz").write_bytes(b"")
-    (tmp_path / "controller.yaml").write_text(
-        "/**/koopman_lifter:\n  ros__parameters: {cost: lifted, model: model.npz}\n"
-        "/**/relay_esc:\n  ros__parameters: {law: adaptive, theta_initial: 5.0}\n"
-    )
-    other = with_controller(scenario, tmp_path / "controller.yaml")
-    model = str(tmp_path / "model.npz")
-    assert other.parameters["koopman_lifter"] == {"cost": "lifted", "model": model}
-    assert other.parameters["relay_esc"] == {"law": "adaptive"}  # and the plant's theta_initial
-    assert (other.setting, other.limits) == (scenario.setting, scenario.limits)
-    (tmp_path / "controller.yaml").write_text("/**/relay_esc:\n  ros__parameters: {law: wide}\n")
-    with pytest.raises(ConfigError, match=r"controller\.yaml: relay_esc: law = 'wide'"):
-        with_controller(scenario, tmp_path / "controller.yaml")
