@@ -22,10 +22,9 @@ CONFIG = CommissionConfig(Seeds(10, 3), STRATA, {"channels": [1, 2]})
 
 def row(stratum: str, **changes: Any) -> dict[str, Any]:
     """Return what is noted of a rig that was damped, and was said to be."""
-    runs = {"tuned": {"ratio": [1.0, 1.2]}, "defaults": {"ratio": [2.0, 1.0]}}
     usual = {"seed": 1, "stratum": stratum, "shape": "narrow", "has_optimum": True,
-             "verdict": "tuned", "damped": True, "excited": 100.0, "runs": runs}  # fmt: skip
-    return {**usual, **changes}
+             "verdict": "tuned", "damped": True, "excited": 100.0, "ratio": [1.0, 1.2]}  # fmt: skip
+    return {name: value for name, value in {**usual, **changes}.items() if value is not None}
 
 
 def test_each_stratum_has_its_family_and_fresh_seeds() -> None:
@@ -46,25 +45,25 @@ def test_a_wrong_stratum_is_refused_by_its_name() -> None:
 
 
 def test_words_and_truths_are_counted() -> None:
-    far = {"tuned": {"ratio": [1.0, 1.6]}, "defaults": {"ratio": [1.0, 1.0]}}
+    far = [1.0, 1.6]
     rows = [
         row("usual", seed=1),
         row("usual", seed=2, damped=False),  # falsely not
-        row("usual", seed=3, runs=far),  # falsely damped
-        row("usual", seed=4, runs=far, damped=False),
-        row("usual", seed=5, verdict="flat", damped=False, runs={}, excited=400.0),
-        row("deep", seed=6, has_optimum=False, verdict="monotone", damped=False, runs={}),
-        row("deep", seed=7, has_optimum=False, runs={}),  # nothing supports that it is damped
-        row("deep", seed=8, has_optimum=False, verdict="error", damped=False, runs={}),
+        row("usual", seed=3, ratio=far),  # falsely damped
+        row("usual", seed=4, ratio=far, damped=False),
+        row("usual", seed=5, verdict="flat", damped=False, ratio=None, excited=400.0),
+        row("deep", seed=6, has_optimum=False, verdict="monotone", damped=False, ratio=None),
+        row("deep", seed=7, has_optimum=False, ratio=None),  # nothing supports that it is damped
+        row("deep", seed=8, has_optimum=False, verdict="error", damped=False, ratio=None),
     ]
     summary, mistakes = section(CONFIG, rows).tables
     counted = {
         name: [summary.cell(name, column.key) for column in summary.columns[1:]]
         for name in ("usual", "deep", "all")
     }
-    assert counted["usual"] == ["5", "5", "1", "40.0", "40.0", "–", "2", "1", "1", "100"]
-    assert counted["deep"] == ["3", "0", "0", "–", "–", "33.3", "1", "1", "0", "100"]
-    assert counted["all"] == ["8", "5", "1", "40.0", "40.0", "33.3", "3", "2", "1", "100"]
+    assert counted["usual"] == ["5", "5", "1", "40.0", "–", "2", "1", "1", "100"]
+    assert counted["deep"] == ["3", "0", "0", "–", "33.3", "1", "1", "0", "100"]
+    assert counted["all"] == ["8", "5", "1", "40.0", "33.3", "3", "2", "1", "100"]
     assert [texts[0] for texts in mistakes.texts()] == ["2", "3", "4", "5", "7", "8"]
 
 

@@ -219,13 +219,12 @@ def controller_of(rig: RandomRig, speed: float) -> RigController:
     return RigController(LifterConfig(dt=p.dt, omega_h=omega_h, omega_l=4.5 / rig.time), esc)
 
 
-def test_a_theta_left_at_the_best_has_a_ratio_of_one_and_is_within_bounds_at_once() -> None:
+def test_a_theta_left_at_the_best_has_a_ratio_of_one() -> None:
     rig = of("symmetric", 2, clean=1.0, noise_driven=0.0, amplitude_time=(2.0, 4.0))
     resting = replace(rig, theta_initial=rig.best()[0])
     noise = noise_of(resting, round(20.0 * rig.time / rig.params.dt), 2)
     done = close(resting, controller_of(resting, 0.0), noise, 2)
     assert done.ratio == pytest.approx(1.0, abs=1e-12)
-    assert done.converged <= 0.01
 
 
 def at(rig: RandomRig, u: float) -> float:

@@ -1,10 +1,8 @@
-"""One rig of the family commissioned: excited, tuned, verified, and compared with the defaults."""
+"""One rig of the family commissioned: excited, tuned and verified."""
 
 from __future__ import annotations
 
-import functools
-import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,6 @@ from koop_study.commissioning.excitation import (
     file_of,
     training_of,
 )
-from koop_study.family import oscillator
 from koop_study.family.config import FamilyConfig
 from koop_study.family.loop import (
     ClosedRun,
@@ -39,8 +36,6 @@ from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tune_knobs import tune_knobs
 from koop_tune.search.tuning import Tuning
-from koopman_lifter.config import LifterConfig
-from relay_esc.config import EscConfig
 
 # added to the seed: of the excitation, of the other end's noise, of the noise of the next round
 EARLIER, OTHER, NEXT = 1_000_000, 2_000_000, 20_000_000
@@ -74,12 +69,13 @@ def commission_plant(
     Returns
     -------
     dict
-        The rig, its verdict, and the runs of each controller from either end.
+        The rig, its verdict, and how the controller did from either end.
     """
     rig = draw(FamilyConfig(**family), seed)
     file = file_of(rig, rate, excitation)
     recorded = excite(rig, file, seed + EARLIER)
-    row: Row = {"stratum": stratum, **_described(rig), "damped": False,
+    row: Row = {"stratum": stratum, "seed": rig.seed, "shape": rig.map,
+                "has_optimum": rig.has_optimum, "damped": False,
                 "excited": recorded.elapsed / rig.time}  # fmt: skip
     after = rig.later(recorded.elapsed)  # while theta was moved the optimum moved too
     loops = Loops(after, seed, round(duration * rig.time / rig.params.dt))
@@ -89,15 +85,11 @@ def commission_plant(
         if recorded.design.ended != KNOWN:
             raise NoOptimum("time", "the time was over before the map was known")
         tuning = commissioned(rig, file, recorded, loops, seed, effort, row)
-        row |= {"verdict": "tuned", "why": tuning.why, "doubt": tuning.findings.doubt,
-                "cost": tuning.chosen.name, "constants": asdict(tuning.best.constants),
-                "predicted": tuning.prediction.excess.high}  # fmt: skip
+        row |= {"verdict": "tuned", "why": tuning.why}
     except NoOptimum as no:
         row |= {"verdict": no.kind, "why": str(no)}
     except ValueError as error:
         row |= {"verdict": "error", "why": str(error)}
-    if rig.has_optimum:
-        row["runs"] = row.get("runs", {}) | {"defaults": with_defaults(loops, rate)}
     return row
 
 
@@ -110,7 +102,7 @@ def commissioned(
     A later round learns from the loops of the earlier ones, whose noise it does not repeat.
     """
     rounds: list[Round] = []
-    tried: list[tuple[Tuning, Row]] = []
+    tried: list[tuple[Tuning, list[float]]] = []
     starts, loaded = (file.theta_min, file.theta_max), recorded.loaded
     while len(rounds) < VERIFICATION.rounds and not (rounds and rounds[-1].damped):
         settings = TuningSettings(
@@ -133,9 +125,7 @@ def commissioned(
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)
         damped = not find_faults(aim, [run.measured for run in runs])
         rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees, damped))
-        result = {"ratio": [loop.ratio for loop in closed],
-                  "converged": [loop.converged for loop in closed]}  # fmt: skip
-        tried.append((tuning, result))
+        tried.append((tuning, [loop.ratio for loop in closed]))
         for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
             (theta,) = run.measured.theta
             after = loops.rest(end + 1, theta, aim, 5 * OTHER)
@@ -143,14 +133,13 @@ def commissioned(
             recording = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
             loaded = Loaded.joined([loaded, recording])
     which = kept_index(rounds)
-    tuning, result = tried[which]
-    row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
-            "damped": rounds[which].damped}  # fmt: skip
+    tuning, row["ratio"] = tried[which]
+    row["damped"] = rounds[which].damped
     return tuning
 
 
 class Loops:
-    """The loop of a rig closed from both ends in turn, with the same noise for every controller."""
+    """The loop of a rig closed from both ends in turn."""
 
     def __init__(self, rig: RandomRig, seed: int, steps: int) -> None:
         self._rig, self._seed, self._steps = rig, seed, steps
@@ -164,12 +153,12 @@ class Loops:
         """Return the rig as so many loops leave it: its optimum moves on."""
         return self._rig.later(count * self._steps * self._rig.params.dt)
 
-    @functools.cached_property
+    @property
     def rigs(self) -> list[RandomRig]:
         """At rest at each end, when the loop is closed from there."""
         return [from_end(self._after(end), end) for end in ENDS]
 
-    @functools.cached_property
+    @property
     def noises(self) -> list[RunNoise]:
         """From each end."""
         return [noise_of(rig, self._steps, self._seed + end * OTHER)
@@ -193,34 +182,3 @@ def tuned_controller(tuning: Tuning) -> RigController:
     task, constants = tuning.task, tuning.best.constants
     esc = make_esc(task, constants, task.low)
     return RigController(make_lifter(task, constants), esc, tuning.chosen.maps.cost.model)
-
-
-def _described(rig: RandomRig) -> Row:
-    p = rig.params
-    rms = p.middle * math.sqrt(0.5)
-    tone = float(np.sqrt(0.5 * (p.tone_amplitude**2).sum(axis=0)).mean()) if p.tone.size else 0.0
-    return {
-        "seed": rig.seed,
-        "shape": rig.map,
-        "has_optimum": rig.has_optimum,
-        "noise_driven": p.kind == oscillator.NOISE_DRIVEN,
-        "channels": rig.channels,
-        "logarithmic": p.log_scale,
-        "maximised": p.sense < 0.0,
-        "slowest": rig.slowest * rig.frequency,
-        "noise": float(p.noise.mean()) / rms,
-        "interference": tone / rms,
-    }
-
-
-def with_defaults(loops: Loops, rate: float) -> Row:
-    """Return how the nodes' defaults do, which know the rig's limits and dt, with the raw cost."""
-    rig = loops.rigs[0]
-    p = rig.params
-    limit = rate * (p.theta_max - p.theta_min) / rig.time
-    esc = EscConfig(
-        theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial,
-        rate_limit=limit, objective=rig.objective,
-    )  # fmt: skip
-    runs = loops.close(RigController(LifterConfig(dt=p.dt), esc))
-    return {"ratio": [run.ratio for run in runs], "converged": [run.converged for run in runs]}

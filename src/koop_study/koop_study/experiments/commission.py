@@ -87,7 +87,7 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
         "time (slowest time of the amplitude and two periods). The amplitude is the true one, "
         "root mean square over the second half, over that of the best fixed θ with the same "
         "noise; a rig counts as damped in truth if the worse side is within 1.5. A rig with an "
-        "optimum that is refused counts as a failure. 'Defaults' know the rig's limits and dt.",
+        "optimum that is refused counts as a failure.",
         [_summary(config, rows), _mistakes(rows)],
         [
             Figure(
@@ -100,14 +100,13 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
     )
 
 
-def _worse(row: Row, way: str = "tuned") -> float | None:
+def _worse(row: Row) -> float | None:
     """Return the true ratio of the worse side; None if no loop was closed."""
-    run = row.get("runs", {}).get(way)
-    return None if run is None else float(max(run["ratio"]))
+    return max(row["ratio"]) if "ratio" in row else None
 
 
-def _is_good(row: Row, way: str = "tuned") -> bool:
-    ratio = _worse(row, way)
+def _is_good(row: Row) -> bool:
+    ratio = _worse(row)
     return ratio is not None and ratio <= FAMILY.good
 
 
@@ -142,7 +141,6 @@ def _summary(config: CommissionConfig, rows: list[Row]) -> Table:
             Column("optimum", "with an optimum", ".0f"),
             Column("wrongly", "of them refused", ".0f"),
             Column("success", "of them within 1.5 from either side [%]", ".1f"),
-            Column("defaults", "of them with the defaults [%]", ".1f"),
             Column("rightly", "without an optimum refused [%]", ".1f"),
             Column("damped", "said damped", ".0f"),
             Column("false_damped", "falsely damped", ".0f"),
@@ -161,7 +159,6 @@ def _summary(config: CommissionConfig, rows: list[Row]) -> Table:
                 len(optimum),
                 sum(map(_refused_wrongly, group)),
                 _share(sum(map(_is_good, optimum)), len(optimum)),
-                _share(sum(_is_good(row, "defaults") for row in optimum), len(optimum)),
                 _share(sum(map(_refused_rightly, group)), without),
                 sum(row["damped"] for row in group),
                 sum(map(_falsely_damped, group)),
@@ -199,9 +196,6 @@ def _mistakes(rows: list[Row]) -> Table:
 
 def _panel(rows: list[Row]) -> Panel:
     optimum = [row for row in rows if row["has_optimum"]]
-    curves = {
-        name: [ratio for row in optimum if (ratio := _worse(row, way)) is not None]
-        for name, way in (("commissioned", "tuned"), ("defaults", "defaults"))
-    }
+    curves = {"commissioned": [ratio for row in optimum if (ratio := _worse(row)) is not None]}
     label = "amplitude over that at the best fixed θ"
     return Panel(label, "share of rigs [%]", cumulative(curves, len(optimum)), log_x=True)

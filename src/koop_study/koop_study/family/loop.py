@@ -93,8 +93,6 @@ class ClosedRun(NamedTuple):
     ratio : float
         True amplitude of the second half over that at the best fixed theta with the same noise (its
         inverse where it is to be large).
-    converged : float
-        Share of the run after which L(theta) is within 1.5 times the best one; 2 if never.
     x : ndarray, shape (M, n)
         Measured channels.
     theta : ndarray, shape (M,)
@@ -102,7 +100,6 @@ class ClosedRun(NamedTuple):
     """
 
     ratio: float
-    converged: float
     x: NDArray[np.float64]
     theta: NDArray[np.float64]
 
@@ -128,19 +125,17 @@ def close(
     model = controller.model
     lifting = cost.no_lifting() if model is None else model.lifting()
     source = cost.RAW if model is None else cost.LIFTED
-    power, excess = np.empty(FAMILY.blocks), np.empty(FAMILY.blocks)
+    power = np.empty(FAMILY.blocks)
     steps = noise.numbers.shape[0]
     x, theta = np.empty((steps, rig.channels)), np.empty((steps, esc.count))
     _close(
         exposed(p), source, lifting, cost.workspace(lifting), controller.lifter.detector_params(),
         esc.knob(0).params(p.dt), esc.knob_limits(p.dt), esc.initial_directions(), m, best,
-        rig.initial(seed), noise.numbers, power, excess, x, theta,
+        rig.initial(seed), noise.numbers, power, x, theta,
     )  # fmt: skip
     ratio = math.sqrt(float(power[FAMILY.blocks // 2 :].mean())) / noise.best
-    inside = np.flatnonzero(excess <= math.log(FAMILY.good))
     return ClosedRun(
         ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9),
-        float(inside[0] + 1) / FAMILY.blocks if inside.size else 2.0,
         x,
         theta if esc.count > 1 else theta[:, 0],
     )
@@ -161,17 +156,15 @@ def _close(
     state: RigState,
     noise: NDArray[np.float64],
     power: NDArray[np.float64],
-    excess: NDArray[np.float64],
     measured: NDArray[np.float64],
     theta: NDArray[np.float64],
 ) -> None:
-    """Fill in each block's mean square of the amplitude, and mean of log L(theta) over the best."""
+    """Fill in each block's mean square of the amplitude."""
     steps, blocks = noise.shape[0], power.shape[0]
     lifting, work = cost.borrow(lifting, work)
     states = borrowed(measured)
     cost_state = cost.initial()
     power[:] = 0.0
-    excess[:] = 0.0
     share = blocks / steps
     for k in range(steps):
         i = k * blocks // steps
@@ -188,7 +181,4 @@ def _close(
             theta[k, j] = command.theta[j]
         acts = theta[k, 0] if theta.shape[1] == 1 else acting(p, m, best, command.theta)
         power[i] += oscillator.energy(state) * share
-        if k % FAMILY.every == 0:
-            settled = oscillator.level(p, oscillator.acting(p, state, acts), k * p.dt)
-            excess[i] += p.sense * math.log(settled / p.level) * share * FAMILY.every
         state = oscillator.step(p, state, k, acts, noise[k, 0], noise[k, 1])

@@ -22,7 +22,6 @@ class FamilySettings(Settings):
     alive: float = judged(0.03, "of L*, that is left of either of two modes", low=0.0, high=0.5)
     margin: float = judged(0.05, "that a moving optimum keeps from the ends, in u", low=0.0)
     blocks: int = judged(200, "blocks that a run is averaged in", low=2)
-    every: int = judged(16, "samples, of which one shows where theta leads to", low=1)
     longer: tuple[float, ...] = judged(
         (1.0, 2.0, 4.0), "times of the rig file that an engineer gives, one after the other"
     )
