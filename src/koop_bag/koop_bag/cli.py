@@ -1,4 +1,4 @@
-"""The command ``koop bag``: information, playing, recovery, export."""
+"""The command ``koop bag``: information, playing, recovery."""
 
 from __future__ import annotations
 
@@ -44,12 +44,6 @@ def register(commands: Any) -> None:
     recover.add_argument("target", type=Path, nargs="?", help="default: beside it, _recovered")
     recover.set_defaults(func=_recover)
 
-    export = bag.add_parser("export", help="write CSV, one file a topic")
-    export.add_argument("bag", type=Path)
-    export.add_argument("-o", "--out", type=Path, help="folder; default: beside it, _export")
-    export.add_argument("--topic", action="append", help="only this topic; may be repeated")
-    export.set_defaults(func=_export)
-
 
 def bag_commands(commands: Any) -> Any:
     """Return the subparsers of ``koop bag``, for others to add theirs; made at the first call.
@@ -83,7 +77,8 @@ def _recover(args: argparse.Namespace) -> int:
     from koop_bag.bag.reader import BagReader
     from koop_bag.bag.recover import recover
 
-    target = args.target or _beside(args.bag, "recovered")
+    bag = args.bag.resolve()
+    target = args.target or bag.with_name(f"{bag.stem}_recovered")
     report = recover(args.bag, target)
     with BagReader(target) as reader:
         print(
@@ -91,24 +86,6 @@ def _recover(args: argparse.Namespace) -> int:
             f"{report.damaged_records} damaged records, {report.torn_bytes} torn bytes at the end"
         )
     return 0
-
-
-def _export(args: argparse.Namespace) -> int:
-    from koop_bag.bag.export import export
-    from koop_bag.bag.reader import BagReader
-
-    def warn(text: str) -> None:
-        print(f"koop bag export: {text}", file=sys.stderr)
-
-    folder = args.out or _beside(args.bag, "export")
-    with BagReader(args.bag) as reader:
-        for topic, path in export(reader, folder, args.topic, warn).items():
-            print(f"{topic}: {path}")
-    return 0
-
-
-def _beside(bag: Path, what: str) -> Path:
-    return bag.resolve().with_name(f"{bag.resolve().stem}_{what}")
 
 
 def _play(args: argparse.Namespace) -> int:

@@ -1,12 +1,10 @@
 """`koop bag` on real bags, judged by `rosbags` and counting by hand."""
 
 import argparse
-import csv
 import json
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 import yaml
 from koop_bag_messages import LOOP, PERIOD, START
@@ -97,88 +95,6 @@ def test_a_topic_that_ends_early_is_no_gap_but_still_lacks_something():
         "/a/ground_truth": 9
     }
     assert early_ends({}) == {}
-
-
-# -- export -----------------------------------------------------------------------------------
-
-
-def read_csv(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def test_every_number_and_text_is_exported(write_loop, koop, tmp_path):
-    folder = write_loop(n=300)
-    code, text, _ = koop("export", folder, "-o", tmp_path / "out")
-    assert code == 0
-    assert len(text.splitlines()) == 4
-    with AnyReader([folder]) as reader:
-        for connection in reader.connections:
-            rows = read_csv(tmp_path / "out" / f"{connection.topic[1:]}.csv")
-            actual = reader.messages([connection])
-            for row, (_, time, raw) in zip(rows, actual, strict=True):
-                message = reader.deserialize(raw, connection.msgtype)
-                assert int(row["log_time"]) == time
-                stamp = message.header.stamp
-                assert int(row["header.stamp"]) == stamp.sec * 10**9 + stamp.nanosec
-                for name, value in vars(message).items():
-                    if isinstance(value, np.ndarray):
-                        exported = [float(row[f"{name}[{i}]"]) for i in range(value.size)]
-                        assert exported == value.tolist()
-                    elif name.islower() and name not in ("header", "__msgtype__"):  # no constant
-                        assert row[name] == str(value), name
-
-
-def test_elements_that_a_message_lacks_are_empty(tmp_path, messages, koop):
-    kind = "sensor_msgs/msg/JointState"
-    lengths = [2, 0, 3]
-    with BagWriter(tmp_path / "bag") as writer:
-        channel = writer.add_topic("/rig/joints", load_schema(kind))
-        for k, length in enumerate(lengths):
-            made = messages.make(
-                kind,
-                header=messages.header(k),
-                name=[f"j{i}" for i in range(length)],
-                position=np.arange(length, dtype=float),
-                velocity=np.array([]),
-                effort=np.array([]),
-            )
-            writer.write(channel, START + k, START, messages.serialize(kind, made))
-    koop("export", tmp_path / "bag", "-o", tmp_path)
-    rows = read_csv(tmp_path / "rig.joints.csv")
-    assert [row["name[0]"] for row in rows] == ["j0", "", "j0"]
-    assert [row["name[2]"] for row in rows] == ["", "", "j2"]
-    assert float(rows[2]["position[2]"]) == 2.0
-    assert "velocity[0]" not in rows[0]
-    assert "position[3]" not in rows[0]
-
-
-MEASURE = """
-import sys
-from pathlib import Path
-from koop_bag.bag.export import export
-from koop_bag.bag.reader import BagReader
-with BagReader(sys.argv[1]) as reader:
-    export(reader, Path(sys.argv[2]))
-print([line for line in open("/proc/self/status") if "VmHWM" in line][0].split()[1])
-"""
-
-
-def test_the_memory_of_an_export_does_not_grow_with_the_bag(tmp_path, messages):
-    kind = "std_msgs/msg/Float64MultiArray"
-    layout = messages.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-    made = messages.make(kind, layout=layout, data=np.arange(400.0))
-    data = messages.serialize(kind, made)
-    peaks = []
-    for size in (3_000, 20_000):  # 10 and 64 MB
-        with BagWriter(tmp_path / f"bag{size}") as writer:
-            channel = writer.add_topic("/wide", load_schema(kind))
-            writer.write_many((START + k * PERIOD, channel, START, data) for k in range(size))
-        command = [sys.executable, "-c", MEASURE, tmp_path / f"bag{size}", tmp_path / str(size)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        peaks.append(float(done.stdout) / 1024)
-    # a batch is 8 MB, and held as cells
-    assert peaks[1] - peaks[0] < 40.0, peaks
 
 
 # -- play -------------------------------------------------------------------------------------

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.columns import Columns, read_columns
-from koop_bag.bag.extent import measure
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_core.config.fields import Source
+from koop_core.config.fields import MAX_FIELDS, Source
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import theta_at
 from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages, of_knobs
@@ -145,7 +144,7 @@ def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
     except BagError:
         if "x" not in names:
             raise
-    elements = [name for name in measure(bag, topic).fields if name.startswith("x[")]
+    elements = [f"x[{i}]" for i in range(MAX_FIELDS)]  # NaN where a message has none
     columns = read_columns(bag, topic, [*(name for name in names if name != "x"), *elements])
     x = np.stack([columns.pop(name) for name in elements], axis=1).astype(np.float64)
     n = int(np.median((~np.isnan(x)).sum(axis=1)))
