@@ -15,7 +15,7 @@ from koop_bringup.live.loop import LiveLoop
 from koop_core.errors import LiveError
 from koop_identify.recording.loop import LoopRecord, read_loop
 from koop_lab.cli.main import main
-from koop_lab.replay.offline import replay_offline
+from koop_lab.replay.answers import replay
 from koop_lab.replay.plan import make_plan
 from koop_lab.replay.recording import read_recording
 from koop_loop.loop import simulate
@@ -128,11 +128,10 @@ def test_two_knobs_over_dds_offline_and_in_replay_are_equal_to_the_last_bit(
     assert (np.ptp(run.theta, axis=0) > 0.3).all()  # the controller did act
     changes = np.abs(np.diff(np.log(run.theta), axis=0))
     assert (changes.max(axis=0) <= np.array([1.5, 5.0]) * 0.005 * (1.0 + 1e-9)).all()
-    for how in ([], ["--offline"]):
-        assert main(["replay", str(lockstep.folder), *how]) == 0
-        printed = capfd.readouterr().out
-        for name in ("r      ", "theta[0] ", "theta[1] "):
-            assert f"{name}identical bit for bit in all 2000 steps" in printed
+    assert main(["replay", str(lockstep.folder)]) == 0
+    printed = capfd.readouterr().out
+    for name in ("r      ", "theta[0] ", "theta[1] "):
+        assert f"{name}identical bit for bit in all 2000 steps" in printed
 
 
 def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
@@ -177,7 +176,7 @@ def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_
     options, run = lockstep.parameters, lockstep.run
     offline = simulate(options.plant, options.lifter, options.esc, None, lockstep.steps)
     recording = read_recording(lockstep.folder)
-    replayed = replay_offline(recording, make_plan(recording))
+    replayed = replay(recording, make_plan(recording))
     lifter = replace(options.lifter, cost=LifterConfig.cost)  # the study has a setting of its own
     case = Case("raw", lockstep.steps * 0.005, options.plant, lifter, options.esc)
     study = run_case(case)
@@ -218,7 +217,7 @@ def test_with_delays_nodes_loop_and_replay_are_equal_to_the_last_bit(module_doma
     run = read_loop(tmp_path / "run" / "bag").closed(tmp_path / "run" / "bag")
     offline = simulate(options.plant, options.lifter, options.esc, options.load_model(), 2000)
     recording = read_recording(tmp_path / "run")
-    for r, theta in ((offline.r, offline.theta), replay_offline(recording, make_plan(recording))):
+    for r, theta in ((offline.r, offline.theta), replay(recording, make_plan(recording))):
         np.testing.assert_array_equal(run.r, r)
         np.testing.assert_array_equal(run.theta, theta)
     assert np.isnan(run.r[:66]).all()  # until the line is full

@@ -191,19 +191,18 @@ def eventful(eventful_run):
     return eventful_run[0]
 
 
-@pytest.mark.parametrize("how", [["--offline"], []])
-def test_an_eventful_run_is_replayed_bit_for_bit(eventful_run, how, capfd):
+def test_an_eventful_run_is_replayed_bit_for_bit(eventful_run, capfd):
     folder, resent = eventful_run
     recording = read_recording(folder)
     assert np.ptp(recording.theta[recording.has_theta]) > 0.1
-    assert recording.step[recording.late].tolist() == [85]
+    assert recording.step[~recording.has_r].tolist() == [85]
     assert [(c.node, c.values, recording.step[c.index]) for c in recording.changes] == [
         ("koopman_lifter", {"cost": "raw"}, 130),
         ("relay_esc", {"dwell": 0.02}, 160),
         ("koopman_lifter", {"omega_l": 3.0}, 160),
     ]
     assert recording.step[recording.hold].tolist() == list(range(90, 100))
-    code = main(["replay", str(folder), *how])
+    code = main(["replay", str(folder)])
     printed, error = capfd.readouterr()
     assert code == 0, printed + error
     assert "r      identical bit for bit in all 340 steps" in printed
@@ -237,15 +236,14 @@ def test_another_model_is_replayed_and_who_was_inactive_is_not(start, probe, tmp
     rig.swing(range(92, 120))
     recorder.process.send_signal(signal.SIGINT)
     assert recorder.process.wait(20.0) == 0
-    for how in (["--offline"], []):
-        code = main(["replay", str(folder), *how])
-        printed, error = capfd.readouterr()
-        assert code == 1, printed + error
-        assert "from step 40 on, as recorded: koopman_lifter model =" in printed
-        assert "r      identical bit for bit in all 120 steps" in printed
-        assert "12 costs without a recorded theta are replayed as if the controller" in printed
-        assert re.search(r"theta  differs in \d+ of 108 steps, first at step 92:", printed)
-        assert "not in a bag, so not replayed: a restart, a reset or an inactive phase" in printed
+    code = main(["replay", str(folder)])
+    printed, error = capfd.readouterr()
+    assert code == 1, printed + error
+    assert "from step 40 on, as recorded: koopman_lifter model =" in printed
+    assert "r      identical bit for bit in all 120 steps" in printed
+    assert "12 costs without a recorded theta are replayed as if the controller" in printed
+    assert re.search(r"theta  differs in \d+ of 108 steps, first at step 92:", printed)
+    assert "not in a bag, so not replayed: a restart, a reset or an inactive phase" in printed
 
 
 @pytest.mark.parametrize("n", [1, 3])
@@ -281,11 +279,10 @@ def test_the_raw_cost_of_any_channels_needs_no_model_until_it_is_lifted(
     assert rig.costs[-1].source == Cost.RAW
     recorder.process.send_signal(signal.SIGINT)
     assert recorder.process.wait(20.0) == 0
-    for how in (["--offline"], []) if n == 1 else (["--offline"],):
-        code = main(["replay", str(folder), *how])
-        printed, error = capfd.readouterr()
-        assert code == 0, printed + error
-        assert "theta  identical bit for bit in all 61 steps" in printed
+    code = main(["replay", str(folder)])
+    printed, error = capfd.readouterr()
+    assert code == 0, printed + error
+    assert "theta  identical bit for bit in all 61 steps" in printed
 
 
 def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_path, capfd):
@@ -314,11 +311,10 @@ def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_
     filling = np.arange(15)
     expected = [*filling, *(97 + np.array([0, 5, 10, 15])), *(138 + filling), *(164 + filling)]
     assert without.tolist() == expected
-    for how in ([], ["--offline"]):
-        assert main(["replay", str(folder), *how]) == 0, capfd.readouterr()
-        printed = capfd.readouterr().out
-        assert "r      identical bit for bit in all 224 steps" in printed
-        assert "theta  identical bit for bit in all 224 steps" in printed
+    assert main(["replay", str(folder)]) == 0, capfd.readouterr()
+    printed = capfd.readouterr().out
+    assert "r      identical bit for bit in all 224 steps" in printed
+    assert "theta  identical bit for bit in all 224 steps" in printed
 
 
 @pytest.mark.parametrize("kept", [(), ("relay_esc",)])
@@ -354,7 +350,7 @@ def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):
 def test_what_the_user_sets_outlasts_a_recorded_change(eventful, tmp_path, capfd):
     file = tmp_path / "controller.yaml"
     parameter_file.write({"koopman_lifter": {"cost": "lifted"}}, file)
-    assert main(["replay", str(eventful), "--offline", "--params-file", str(file)]) == 1
+    assert main(["replay", str(eventful), "--params-file", str(file)]) == 1
     printed = capfd.readouterr().out
     assert "as recorded: koopman_lifter cost" not in printed
     assert "first at step 130" in printed

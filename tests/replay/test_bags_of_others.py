@@ -48,7 +48,7 @@ def golden_parameters(namespace=""):
 
 
 def replay(folder, capsys, *options):
-    code = main(["replay", str(folder), "--offline", *map(str, options)])
+    code = main(["replay", str(folder), *map(str, options)])
     return code, "".join(capsys.readouterr())
 
 

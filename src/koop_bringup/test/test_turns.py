@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from koop_bringup.live.turns import take_turns, taking_turns_with
+from koop_bringup.live.turns import take_turns
 
 # A thread that is there already, as those of DDS are.
 TWO_THREADS = """
@@ -36,20 +36,6 @@ def test_those_who_take_turns_share_a_processor_and_their_listener_has_all():
     (shared,) = {frozenset(cpus) for threads in by_process[:2] for cpus, _ in threads}
     assert len(shared) == 1
     assert all(cpus == allowed for cpus, _ in by_process[2])
-
-
-def test_who_takes_turns_with_another_is_as_before_afterwards():
-    command = [sys.executable, "-c", TWO_THREADS]
-    before = _threads(os.getpid())
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
-        other.stdout.readline()
-        with taking_turns_with(other.pid):
-            during = [*_threads(os.getpid()), *_threads(other.pid)]
-        other.communicate(b"\n")
-    if len(os.sched_getaffinity(0)) > 1:
-        assert {(len(cpus), policy) for cpus, policy in during} == {(1, os.SCHED_BATCH)}
-        assert len({frozenset(cpus) for cpus, _ in during}) == 1
-    assert _threads(os.getpid()) == before
 
 
 def _threads(pid):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import random
 import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 
 
 def take_turns(pids: Iterable[int], listeners: Iterable[int] = ()) -> None:
@@ -32,20 +32,6 @@ def take_turns(pids: Iterable[int], listeners: Iterable[int] = ()) -> None:
     for shared, group in ((one, pids), (allowed, listeners)):
         for pid in group:
             _put(pid, shared, os.SCHED_BATCH)
-
-
-@contextmanager
-def taking_turns_with(pid: int) -> Iterator[None]:
-    """Let this process and another one take turns; this one is as it was afterwards."""
-    if sys.platform != "linux":
-        yield
-        return
-    allowed, policy = os.sched_getaffinity(0), os.sched_getscheduler(0)
-    take_turns([os.getpid(), pid])
-    try:
-        yield
-    finally:
-        _put(os.getpid(), allowed, policy)
 
 
 def _put(pid: int, processors: set[int], policy: int) -> None:

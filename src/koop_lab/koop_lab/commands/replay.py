@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from koop_core.text_table import table
 from koop_identify.recording.passes import each_knob
-from koop_lab.replay.offline import replay_offline
+from koop_lab.replay.answers import replay
 from koop_lab.replay.plan import ReplayPlan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
 
@@ -26,15 +26,12 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser(
         "replay",
-        description="Feeds the recorded states through the real lifter and controller and compares "
+        description="Feeds the recorded states through lifter and controller and compares "
         "cost and theta with the recorded ones, bit by bit. Exit code 1 if they differ. With "
         "another model or other parameters it shows what the controller would have answered to "
         "the same states; the plant does not react to it.",
     )
     parser.add_argument("bag", type=Path, help="folder of a run or of a bag, or an .mcap file")
-    parser.add_argument(
-        "--offline", action="store_true", help="on the kernels, without DDS: much faster"
-    )
     parser.add_argument("--model", metavar="FILE", help="another Koopman model")
     parser.add_argument(
         "--params-file", metavar="FILE", help="ROS 2 parameter file of other parameters"
@@ -52,12 +49,7 @@ def main(args: argparse.Namespace) -> int:
     recording = read_recording(args.bag, args.namespace)
     plan = make_plan(recording, args.params_file, args.model)
     started = time.perf_counter()
-    if args.offline:
-        r, theta = replay_offline(recording, plan)
-    else:
-        from koop_lab.replay.feed import replay_live  # needs ROS
-
-        r, theta = replay_live(recording, plan)
+    r, theta = replay(recording, plan)
     elapsed = time.perf_counter() - started
     results = [
         compare(name, recording.step[present], recorded[present], now[present])
@@ -70,8 +62,7 @@ def main(args: argparse.Namespace) -> int:
         )
     ]
     differs = any(different for different, _ in results)
-    way = "offline" if args.offline else "through the nodes over DDS"
-    print(f"{args.bag}: {recording.step.size} states {way} in {elapsed:.2f} s")
+    print(f"{args.bag}: {recording.step.size} states in {elapsed:.2f} s")
     print("\n".join([*describe(recording, plan), *(text for _, text in results)]))
     if differs and not plan.differences:
         complete = not recording.without_parameters

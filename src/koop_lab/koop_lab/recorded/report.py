@@ -19,7 +19,7 @@ from koop_identify.recording.recorded_parameters import Models, known_parameters
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, loop_signals, read_signals
 from koop_lab.cli.tables import cost_name, metrics_table, rig_table
-from koop_lab.replay.offline import OfflineLoop
+from koop_lab.replay.answers import ReplayedLoop
 from koop_loop.metrics import Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
@@ -239,7 +239,7 @@ def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[n
     )
     esc, held = EscConfig(), np.ones(signals.step.size, np.bool_)
     x = np.ascontiguousarray(signals.x)
-    r, _ = OfflineLoop(esc).answer(
+    r, _ = ReplayedLoop(esc).answer(
         lifter, esc, fitting, signals.step, x, held, np.full(x.shape[0], np.nan)
     )
     return {f"r under {fitting.model_id}" if fitting is not None else "raw r": r, **costs}

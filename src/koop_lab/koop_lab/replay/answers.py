@@ -1,4 +1,4 @@
-"""Replay on the kernels, without ROS: a million steps in seconds."""
+"""Replay on the kernels that the nodes call, without ROS: a million steps in seconds."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def replay_kernel(
     return LoopMemory(detector, relay), held
 
 
-class OfflineLoop:
+class ReplayedLoop:
     """Lifter and controller on their kernels, from one segment of states to the next.
 
     Parameters
@@ -173,17 +173,17 @@ class OfflineLoop:
         return r, theta
 
 
-def replay_offline(
+def replay(
     recording: Recording, plan: ReplayPlan
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Replay a recording on the kernels.
+    """Replay a recording.
 
     Returns
     -------
     r, theta : ndarray, shape (M,)
         What lifter and controller answer.
     """
-    loop = OfflineLoop(plan.segments[0].parameters.esc)
+    loop = ReplayedLoop(plan.segments[0].parameters.esc)
     answers = []
     x: NDArray[np.float64] | None = None
     for segment in plan.segments:

@@ -46,8 +46,6 @@ class Recording:
         Position of the state among the messages of its topic.
     step : ndarray of int64, shape (M,)
         Step index.
-    late : ndarray of bool, shape (M,)
-        Whether a newer state had overtaken it, so that it has no answer.
     r, theta : ndarray, shape (M,)
         Recorded answers; NaN where there is none; theta of n > 1 knobs of shape (M, n).
     margin : ndarray, shape (M,)
@@ -74,7 +72,6 @@ class Recording:
     state_topic: str
     message: NDArray[np.int64]
     step: NDArray[np.int64]
-    late: NDArray[np.bool_]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
     margin: NDArray[np.float64]
@@ -188,7 +185,6 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         topic,
         message,
         state.step[message],
-        late,
         r,
         of_knobs(theta.at(key, "theta", np.nan)),
         np.asarray(cost.at(key, "margin", np.nan), np.float64),
