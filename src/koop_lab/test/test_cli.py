@@ -183,5 +183,5 @@ def test_both_packages_have_their_actions_under_koop_bag(capsys):
     with pytest.raises(SystemExit):
         main(["bag", "--help"])
     text = capsys.readouterr().out
-    for action in ("info", "play", "recover", "export", "metrics", "plot"):
+    for action in ("info", "play", "recover", "metrics", "plot"):
         assert f"\n    {action} " in text
