@@ -14,8 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from websockets.exceptions import ConnectionClosed
 
 from koop_bag.bag.reader import BagReader
-from koop_bag.cdr.schema import load_schema
-from koop_view.protocol import AdvertisedChannel
+from koop_bag.cdr.schema import load_schema, load_service
+from koop_view.protocol import AdvertisedChannel, AdvertisedService
 from koop_view.recorded import RecordedSource
 from koop_view.roles import LoopNames
 from koop_view.session import ViewSource
@@ -69,10 +69,14 @@ class Long(RecordedSource):
 TOKENS = "the-first-token", "the-second-token"
 MODE = "document.querySelector('#mode')?.textContent"
 KIND = "diagnostic_msgs/msg/DiagnosticArray"
+SERVICE = "rcl_interfaces/srv/SetParametersAtomically"
 
 
 class Fleet(ViewSource):
-    """Three loops whose lifters report; that of the second one is broken, of the third silent."""
+    """Three loops whose lifters report; that of the second one is broken, of the third silent.
+
+    That of the first one proposes a model.
+    """
 
     mode = "live"
 
@@ -81,7 +85,20 @@ class Fleet(ViewSource):
         self.about = "commissioning: tune, round 1"
         self.loops = {name: LoopNames(name, lifter=f"{name}/lifter") for name in ("/a", "/b", "/c")}
         self.channels = {1: AdvertisedChannel(1, "/diagnostics", KIND, load_schema(KIND).text)}
+        name = "/a/lifter/set_parameters_atomically"
+        self.services = {1: AdvertisedService(1, name, SERVICE, *load_service(SERVICE))}
+        self.calls = []
         self._tasks = set()
+
+    async def call(self, service, payload, peer):
+        from rcl_interfaces.srv import SetParametersAtomically as Service
+        from rclpy.serialization import deserialize_message, serialize_message
+
+        (parameter,) = deserialize_message(payload, Service.Request).parameters
+        self.calls.append((parameter.name, parameter.value.string_value))
+        answer = Service.Response()
+        answer.result.successful = True
+        return bytes(serialize_message(answer))
 
     def subscribe(self, viewer, wanted):
         self._tasks.add(asyncio.get_running_loop().create_task(self._report(viewer, *wanted)))
@@ -96,10 +113,13 @@ class Fleet(ViewSource):
         header = store.types["std_msgs/msg/Header"](
             store.types["builtin_interfaces/msg/Time"](0, 0), ""
         )
+        proposed = store.types["diagnostic_msgs/msg/KeyValue"]("proposed_model", "better.npz")
         silent = iter(["/c"])
         while True:
             status = [
-                status_of(level, f"{name}/lifter", "words", f"koop{name}", [])
+                status_of(
+                    level, f"{name}/lifter", "words", f"koop{name}", [proposed] * (name == "/a")
+                )
                 for name, level in [("/a", 0), ("/b", 2), *((name, 0) for name in silent)]
             ]
             message = store.types[KIND](header, status)
@@ -137,14 +157,23 @@ def fleet(tmp_path_factory):
     """Look at a fleet, restart its server, open the new address in the old tab."""
     folder = tmp_path_factory.mktemp("fleet")
     with Chromium(folder, "about:blank") as page:
-        with running(Fleet(), TOKENS[0]) as port:
+        with running(source := Fleet(), TOKENS[0]) as port:
             page.open(f"http://127.0.0.1:{port}/#token={TOKENS[0]}")
             page.wait("document.querySelector('#fleet')?.textContent.includes('/c')")
+            page.wait("document.querySelector('#use-model').disabled === false")
+            proposal = page.value("document.querySelector('#proposal').innerText")
+            page.value("document.querySelector('#use-model').click()")
+            page.value("document.querySelector('#confirm-yes').click()")
+            acts = page.wait(
+                "document.querySelector('#acts').textContent.includes('done') && "
+                "document.querySelector('#acts').textContent"
+            )
             bad = page.value("document.querySelector('#fleet').textContent")
             loops = page.value("[...document.querySelectorAll('#loop option')].map(o => o.text)")
             page.value("document.querySelector('#loop').value = '/b'")
             page.value("document.querySelector('#loop').dispatchEvent(new Event('change'))")
             page.wait("document.querySelector('#verdict').textContent.startsWith('Fault: lifter')")
+            page.wait("document.querySelector('#proposal').hidden")
             about = page.value("document.querySelector('#about').textContent")
             modes = [page.value(MODE)]
         with running(Fleet(), TOKENS[1], port=port):
@@ -152,7 +181,10 @@ def fleet(tmp_path_factory):
             notes = page.wait("document.querySelector('#notes').textContent")
             page.value(f"location.hash = 'token={TOKENS[1]}'")
             modes.append(page.wait(f"{MODE} == 'operating' && {MODE}"))
-        return SimpleNamespace(loops=loops, bad=bad, about=about, modes=modes, notes=notes)
+        return SimpleNamespace(
+            loops=loops, bad=bad, about=about, modes=modes, notes=notes, proposal=proposal,
+            acts=acts, calls=source.calls,
+        )  # fmt: skip
 
 
 def told_by(page, port):
@@ -192,6 +224,12 @@ def test_the_selector_says_which_loop_of_a_fleet_is_bad(fleet):
     assert "/a: OK" in fleet.loops
     assert fleet.bad == "/b: ERROR, /c: STALE"
     assert fleet.about == "commissioning: tune, round 1"
+
+
+def test_a_proposed_model_is_taken_by_a_button(fleet):
+    assert "a better model: better.npz" in fleet.proposal
+    assert fleet.calls == [("model", "better.npz")]
+    assert fleet.acts.startswith("use the new model – done")
 
 
 def test_a_page_follows_a_restarted_server_which_has_another_token(fleet):

@@ -230,7 +230,13 @@ class LifterRun(Run):
             left = self._state.settling * config.dt
             return OK, f"joined a run: no cost until the filters settle in {left:.1f} s", values
         if self._change is not None:
-            return WARN, f"{self._change}{self._proposed}", values
+            if self._proposed:
+                values["proposed_model"] = self._proposed
+                text = (
+                    f"{self._change}; a better model is proposed: set 'model' to {self._proposed}"
+                )
+                return WARN, text, values
+            return WARN, str(self._change), values
         return OK, "lifting", values
 
     def _on_foreign(self, message: Any, written: float) -> None:
@@ -371,7 +377,7 @@ class LifterRun(Run):
                 self._trial = trial
                 self._kept = candidate.room(self._n, trial.samples.steps.size)
                 return
-            self._proposed = f"; a better model is proposed: set 'model' to {outcome.file}"
+            self._proposed = outcome.file
             name = self._node.get_fully_qualified_name()
             logger.warning(f"{outcome.text}: ros2 param set {name} model {outcome.file}")
         elif self._proposed or model is None or self._source != cost.LIFTED:

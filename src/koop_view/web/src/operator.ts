@@ -6,7 +6,7 @@ import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
 
 const MOST_ACTS = 50;
-const DOUBLE = 3; // rcl_interfaces/msg/ParameterType
+const [DOUBLE, STRING] = [3, 4]; // rcl_interfaces/msg/ParameterType
 
 /** What the operator sees. */
 export interface Desk {
@@ -29,6 +29,7 @@ export class Operator {
     onClick(byId("reset"), () => void this.reset());
     onClick(byId("trip"), () => void this.call("trip", "trip", {}, "guard"));
     onClick(byId("rearm"), () => void this.rearm());
+    onClick(byId("use-model"), () => void this.useModel());
     byId("limits-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.setLimits();
@@ -53,6 +54,7 @@ export class Operator {
     allow("set-limits", "set_parameters_atomically");
     if (!limits) byId<HTMLButtonElement>("set-limits").disabled = true; // a commander has none
     this.showGuard();
+    this.showProposal();
     byId("hold").classList.toggle("pressed", loop?.now.holding ?? false);
     byId("resume").classList.toggle("wanted", loop?.now.holding ?? false);
     if (!limits || limits.join() === this.shown) return;
@@ -77,6 +79,28 @@ export class Operator {
     };
     allow("rearm", isTripped);
     allow("trip", !isTripped);
+  }
+
+  /** The model that the lifter proposes after a change; empty: none. */
+  private get proposal(): string {
+    const { loop } = this.desk;
+    return loop?.reports.get(loop.names.lifter ?? "")?.values["proposed_model"] ?? "";
+  }
+
+  private showProposal(): void {
+    const { loop, operate } = this.desk;
+    byId("proposal").hidden = !this.proposal;
+    setText(byId("proposal-text"), `Since the rig has changed, a better model: ${this.proposal}`);
+    const offered = this.link.offers(`${loop?.names.lifter}/set_parameters_atomically`);
+    byId<HTMLButtonElement>("use-model").disabled = !(operate && offered && !loop?.now.ended);
+  }
+
+  private async useModel(): Promise<void> {
+    const file = this.proposal;
+    const text = `${file} replaces the lifter's model; θ is held until the filters have settled.`;
+    if (!(await confirm("Use the new model", text))) return;
+    const parameters = [{ name: "model", value: { type: STRING, string_value: file } }];
+    await this.call("use the new model", "set_parameters_atomically", { parameters }, "lifter");
   }
 
   private async rearm(): Promise<void> {
@@ -130,12 +154,12 @@ export class Operator {
     await this.call(what, "set_parameters_atomically", { parameters });
   }
 
-  /** Call a service of the controller, or of the guard, and note its answer. */
+  /** Call a service of the controller, or of another node, and note its answer. */
   private async call(
     what: string,
     service: string,
     request: Message,
-    node: "controller" | "guard" = "controller",
+    node: "controller" | "guard" | "lifter" = "controller",
   ): Promise<void> {
     const outcome = make("span", { text: " …" });
     const entry = make("li", { data: { outcome: "asked" } }, make("b", { text: what }), outcome);
