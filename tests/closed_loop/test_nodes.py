@@ -337,7 +337,7 @@ def test_descriptors_carry_range_and_unit(tuned):
     ).descriptors
     assert tau_f.description.endswith("[s]")
     limits = tau_f.floating_point_range[0]
-    assert (limits.from_value, limits.to_value) == (1e-3, 1e6)
+    assert (limits.from_value, limits.to_value) == (1e-3, 1e8)
     assert objective.additional_constraints == "one of minimise, maximise"
     assert law.read_only
     assert not tau_f.read_only
@@ -481,7 +481,7 @@ def test_a_rig_that_has_changed_gets_a_better_model(start, probe, tmp_path, adap
     swing(1.0, 2.6, 450)
     assert not said("the rig has changed")
     swing(1.2, 2.1, 24)
-    probe.spin_until(lambda: said("moved from 1 to"), "the change")
+    probe.spin_until(lambda: said("moved from 1 "), "the change")
     swing(1.2, 2.1, 280)
     probe.spin_until(lambda: "keeping samples" in process.log.read_text(), "the frequency")
     swing(1.2, 2.1, 610)

@@ -68,7 +68,7 @@ def test_the_answers_to_another_cost_are_written(tmp_path):
     ("options", "message"),
     [
         ("relay_esc: {ros__parameters: {dwel: 2}}", "parameter 'dwel': did you mean 'dwell'?"),
-        ("relay_esc: {ros__parameters: {dwell: -1}}", "relay_esc: dwell = -1: must be 0 to 1e+06"),
+        ("relay_esc: {ros__parameters: {dwell: -1}}", "relay_esc: dwell = -1: must be 0 to 1e+08"),
         (["--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["--namespace", "/two"], "no koop_msgs/msg/MeasuredState on /two/state"),
     ],

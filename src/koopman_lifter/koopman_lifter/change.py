@@ -50,6 +50,7 @@ BLOCK = 16  # states that are looked at together: the call costs more than that
 LOOKED = 20  # windows that dominant_period makes of what is listened to
 FITS = 4  # periods in one of them, at least
 AVERAGED = 4  # windows of a spectrum of what is listened to: 20 periods in each, at least
+TOLD = 0.15  # e that is told: a frequency that has left the quarter looks like a larger one
 LEFT = 0.2  # of f0: a line farther away is no longer that of f0
 LEAKED = 2  # bins on either side of a line, and those of a trend
 TINY = float(np.finfo(float).tiny)
@@ -291,14 +292,16 @@ def follow_all(
 
 @dataclass(frozen=True)
 class Change:
-    """A mode that has moved: from and to [Hz]."""
+    """A mode that has moved: from and to [Hz]; NaN: too far for its phases to tell."""
 
     before: float
     after: float
 
     def __str__(self) -> str:
-        moved = f"moved from {self.before:.4g} to {self.after:.4g} Hz"
-        return f"the rig has changed: its oscillation {moved}"
+        to = f"to {self.after:.4g} Hz"
+        if math.isnan(self.after):
+            to = f"Hz by more than {100.0 * TOLD:g} %"
+        return f"the rig has changed: its oscillation moved from {self.before:.4g} {to}"
 
 
 class Watch:
@@ -432,7 +435,7 @@ class Watch:
     def judge(self) -> Change:
         t = self._tally
         after, end = (t.above.e, t.high) if t.above.s > t.below.s else (t.below.e, t.low)
-        change = Change(self._hertz(end), self._hertz(after))
+        change = Change(self._hertz(end), self._hertz(after if abs(after) <= TOLD else math.nan))
         self.begin()
         return change
 

@@ -33,11 +33,11 @@ class LifterConfig(Settings):
         20.0,
         "corner frequency of the detector's high-pass filter",
         unit="rad/s",
-        low=1e-6,
+        low=1e-8,
         high=1e6,
     )
     omega_l: float = parameter(
-        0.3, "corner frequency of the detector's low-pass filter", unit="rad/s", low=1e-6, high=1e6
+        0.3, "corner frequency of the detector's low-pass filter", unit="rad/s", low=1e-8, high=1e6
     )
     y_out_max: float = parameter(
         0.0,

@@ -52,10 +52,10 @@ class EscConfig(KnobSettings):
         0.1, "adaptive: smallest step in units of step_size", low=1e-4, high=1.0
     )
     dwell: float = parameter(
-        15.0, "least time between two flips of the relay", unit="s", low=0.0, high=1e6
+        15.0, "least time between two flips of the relay", unit="s", low=0.0, high=1e8
     )
     tau_f: float = parameter(
-        10.0, "time constant of the high-pass filter on the cost", unit="s", low=1e-3, high=1e6
+        10.0, "time constant of the high-pass filter on the cost", unit="s", low=1e-3, high=1e8
     )
     theta_min: float = parameter(
         -5.0, "lower saturation limit of theta", low=-1e6, high=1e6, per_knob=True

@@ -109,7 +109,7 @@ def test_the_compiled_kernel_is_the_python_function():
     [
         ({"theta_min": 5.0, "theta_max": -5.0}, "theta_min = 5 must be below theta_max = -5"),
         ({"theta_initial": 9.0}, "theta_initial = 9 must lie within"),
-        ({"tau_f": 0.0}, "tau_f = 0: must be 0.001 to 1e\\+06 s"),
+        ({"tau_f": 0.0}, "tau_f = 0: must be 0.001 to 1e\\+08 s"),
         ({"objective": "minimize"}, "must be one of minimise, maximise"),
     ],
 )
