@@ -63,6 +63,17 @@ def test_what_was_set_while_the_loop_ran_outlives_two_restarts(memory):
     assert "is of another relay_esc.dwell" in remark
 
 
+def test_a_model_that_was_set_while_the_loop_ran_is_used_again_unless_it_is_gone(memory, tmp_path):
+    model = tmp_path / "model-1.npz"
+    model.write_bytes(b"a model")
+    memory().keep(progress(BEGIN, koopman_lifter={"model": str(model)}))
+    assert memory().recall()[0]["koopman_lifter"] == {"model": str(model)}
+    model.unlink()
+    values, remark = memory().recall()
+    assert values == {}
+    assert "is gone: the controller begins at theta_initial" in remark
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

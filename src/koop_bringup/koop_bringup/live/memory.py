@@ -31,6 +31,8 @@ OF = {
     **{node: names_of([config]) - {"begin"} for node, config in CONFIGS.items()},
 }
 """Parameters with which it is worth something."""
+SET = OF | {"koopman_lifter": OF["koopman_lifter"] | {"model"}}
+"""Parameters that outlive the loop if they are set while it runs."""
 
 
 class Memory:
@@ -62,6 +64,9 @@ class Memory:
             if others := sorted(name for name in names if of.get(name) != self._of.get(name)):
                 raise ConfigError(f"{self._path} is of another {', '.join(others)}")
             changed = {node: dict(dict(values["changed"]).get(node, {})) for node in CONFIGS}
+            model = changed["koopman_lifter"].get("model")
+            if model is not None and not Path(model).is_file():
+                raise ConfigError(f"{model}, the model that was set while the loop ran, is gone")
             begin = {"relay_esc": {"begin": values["begin"]}}
             for node, config in CONFIGS.items():
                 used = self._parameters[node] | changed[node] | begin.get(node, {})
@@ -83,7 +88,7 @@ class Memory:
             return
         changed = {
             node: self._changed.get(node, {})
-            | {k: v for k, v in progress.changed.get(node, {}).items() if k in OF[node]}
+            | {k: v for k, v in progress.changed.get(node, {}).items() if k in SET[node]}
             for node in CONFIGS
         }
         content = {"of": self._of, "changed": changed, "begin": json.loads(begin)}
