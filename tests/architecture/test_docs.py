@@ -112,7 +112,7 @@ def test_the_documentation_stays_short(name):
 
 def test_the_cheap_commands_do_what_the_readme_says(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["simulate", "--out", "run.npz", "--plot", "run.png"]) == 0
-    assert {"run.npz", "run.png"} <= {path.name for path in tmp_path.iterdir()}
+    assert main(["simulate", "--plot", "run.png"]) == 0
+    assert (tmp_path / "run.png").is_file()
     assert main(["inspect"]) == 0
     assert "0.999298 + 0.000000j" in capsys.readouterr().out

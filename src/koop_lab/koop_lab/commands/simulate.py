@@ -8,8 +8,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from koop_lab.cli.loop_options import add_loop_options, given_values, loop_parameters
 from koop_lab.cli.tables import cost_name, metrics_table
 from koop_loop.loop import LoopResult, simulate
@@ -22,7 +20,6 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser("simulate")
     add_loop_options(parser, duration=PAPER_DURATION)
-    parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write the signals")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the run (png, svg, pdf)")
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
     parser.set_defaults(func=main)
@@ -43,8 +40,6 @@ def main(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     result, metrics = run(parameters)
     elapsed = time.perf_counter() - started
-    if args.out is not None:
-        save(args.out, result, parameters)
     if args.plot is not None:
         from koop_lab.plots.signals import plot_signals, true_states  # matplotlib is slow to import
 
@@ -62,21 +57,6 @@ def main(args: argparse.Namespace) -> int:
         return 0
     print(metrics_table(metrics, cost, parameters.pace.duration))
     print(f"{result.theta.size} steps in {elapsed:.2f} s, r* included")
-    for file in filter(None, (args.out, args.plot)):
-        print(f"written to {file}")
+    if args.plot is not None:
+        print(f"written to {args.plot}")
     return 0
-
-
-def save(path: Path, result: LoopResult, parameters: LoopParameters) -> None:
-    """Write the signals and the parameters (as JSON text) to an ``.npz`` file."""
-    with open(path, "wb") as file:
-        np.savez(
-            file,
-            step=result.step,
-            t=result.t,
-            x=result.measured,
-            ground_truth=result.ground_truth,
-            r=result.r,
-            theta=result.theta,
-            parameters=np.array(json.dumps(parameters.as_ros())),
-        )

@@ -32,6 +32,7 @@ HINT = (
     "are means, bands reach from the least to the largest. All times are UTC."
 )
 TIME = "time (UTC)"
+DAY, MINUTE, SECOND = "%-d %B %Y, %H:%M", "%-d %b, %H:%M", "%a %-d %b %H:%M:%S"
 EVENTS = (Column("time", "time (UTC)"), Column("what", "what happened", words=True))
 
 
@@ -40,7 +41,7 @@ def make_page(histories: Sequence[History]) -> str:
     sections = [part for history in histories for part in _make_sections(history)]
     runs = histories[0].runs
     begin, end = runs[0].begin, max(run.end for run in runs)
-    title = f"Report from {_day(begin)} to {_day(end)}"
+    title = f"Report from {_at(begin, DAY)} to {_at(end, DAY)}"
     verdict = "".join(
         f"<p>{html.escape(text)}</p>" for item in histories for text in write_sentences(item)
     )
@@ -71,7 +72,7 @@ def write_sentences(history: History) -> Iterator[str]:
         at = int(np.nanargmax(amplitude))
         yield (
             f"Amplitude of {channel}: {first:.3g} in the first tenth of the time, {last:.3g} in "
-            f"the last, at most {amplitude[at]:.3g} ({_minute(rows.time[at])})."
+            f"the last, at most {amplitude[at]:.3g} ({_at(rows.time[at], MINUTE)})."
         )
     lost = _length([(trip.begin, trip.end) for trip in tripped])
     yield (
@@ -87,7 +88,7 @@ def write_sentences(history: History) -> Iterator[str]:
 def _make_sections(history: History) -> Iterator[Section]:
     events, name = list_events(history), history.name.strip("/").replace("/", "-")
     latest = events[-MOST:]
-    rows: list[tuple[Cell, ...]] = [(_second(event.begin), event.text) for event in latest]
+    rows: list[tuple[Cell, ...]] = [(_at(event.begin, SECOND), event.text) for event in latest]
     left = f", the last {MOST} of them" if len(events) > len(latest) else ""
     table = Table(f"events{name}", f"{_count(len(events), 'event')}{left}", EVENTS, rows)
     of_loop = f" in {history.name}" if history.name else ""
@@ -197,20 +198,8 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def _at(time: float) -> datetime:
-    return datetime.fromtimestamp(time, timezone.utc)
-
-
-def _day(time: float) -> str:
-    return f"{_at(time):%-d %B %Y, %H:%M}"
-
-
-def _minute(time: float) -> str:
-    return f"{_at(time):%-d %b, %H:%M}"
-
-
-def _second(time: float) -> str:
-    return f"{_at(time):%a %-d %b %H:%M:%S}"
+def _at(time: float, form: str) -> str:
+    return f"{datetime.fromtimestamp(time, timezone.utc):{form}}"
 
 
 def write_page(path: Path, histories: Sequence[History]) -> None:
