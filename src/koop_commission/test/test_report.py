@@ -9,6 +9,7 @@ import pytest
 
 from koop_commission.report.contents import Contents, read_contents
 from koop_commission.report.loop import make_loop
+from koop_commission.report.recordings import describe_bag
 from koop_commission.report.sections import (
     make_constants,
     make_costs,
@@ -165,9 +166,9 @@ def test_the_verdict_of_a_verification_is_split_into_its_sentences():
 def test_sections_follow_how_far_the_commissioning_has_come():
     names = [[part.name for part in make_sections(c)]
              for c in (contents(), contents(REFUSED), contents(TUNED))]  # fmt: skip
-    assert names[0] == ["rig-section", "map-section", "spectra"]
-    assert names[1] == ["rig-section", "map-section", "spectra", "costs"]
-    assert names[2][3:] == ["costs", "loop", "constants-section"]
+    assert names[0] == ["rig-section", "map-section", "spectra", "recordings"]
+    assert names[1] == ["rig-section", "map-section", "spectra", "costs", "recordings"]
+    assert names[2][3:] == ["costs", "loop", "constants-section", "recordings"]
 
 
 def test_the_rig_file_is_a_table_with_the_meaning_of_each_key():
@@ -274,6 +275,12 @@ def test_a_long_spectrum_is_thinned_by_ratio_and_a_short_one_is_not():
     assert ratios.max() <= COARSER + 1.0 / FINE
 
 
+def test_a_recording_that_cannot_be_read_is_a_row_that_says_so(tmp_path):
+    *cells, closed = describe_bag(tmp_path / "bag", DT)
+    assert set(cells) == {None}
+    assert closed.startswith("cannot be read")
+
+
 def test_a_folder_is_read_and_written_as_a_page(tmp_path):
     with pytest.raises(ConfigError, match=r"has no excite.json: name a folder of 'koop excite'"):
         read_contents(tmp_path)
@@ -284,7 +291,7 @@ def test_a_folder_is_read_and_written_as_a_page(tmp_path):
     read = read_contents(tmp_path)
     assert (read.rig, read.tuned.controller, read.verification.rounds) == (RIG, CONTROLLER, ())
     page = write_report(tmp_path).read_text()
-    assert page.count("<section>") == 6
+    assert page.count("<section>") == 7
     assert "no recording yet" in page
 
 

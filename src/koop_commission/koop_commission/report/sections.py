@@ -13,6 +13,7 @@ from koop_commission.report.colors import BEST, FAINT, INTERFERENCE, MEASURED, O
 from koop_commission.report.contents import Contents
 from koop_commission.report.loop import make_loop
 from koop_commission.report.pairs import draw_pairs
+from koop_commission.report.recordings import make_recordings
 from koop_commission.report.series import step_apart
 from koop_commission.report.spectra import make_spectra
 from koop_core.config.knobs import format_knobs
@@ -38,6 +39,7 @@ def make_sections(c: Contents) -> Iterator[Section]:
     if c.tuned.controller or c.verification.rounds:
         yield make_loop(c)
         yield make_constants(c)
+    yield make_recordings(c)
 
 
 def make_rig(c: Contents) -> Section:
