@@ -320,6 +320,8 @@ def test_two_coupled_knobs_converge_resume_and_return_together(koop, own_domain,
         assert states[-1].reason == REASONS["spike"][1]
         process.send_signal(signal.SIGINT)
         assert process.wait(LONG) == 0
+        left = note.read(note.note_of(tmp_path / "rig.yaml"))
+        assert left.trip.reason == REASONS["spike"][1]  # with which the next one begins
     finally:
         rig.close()
     # together, each within its rate: a command is up to 40 ms later than the other knob's
@@ -338,39 +340,19 @@ def test_two_coupled_knobs_converge_resume_and_return_together(koop, own_domain,
     assert_replays(koop, tmp_path / "again")
 
 
-def test_the_arrival_of_theta_at_a_target_is_announced(start, probe):
-    node, steps, states = probe.node, itertools.count(1), []
-    state = node.create_publisher(MeasuredState, "state", 10)
-    target = node.create_publisher(Float64MultiArray, "/koop_guard/target", KEPT)
-    node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
-    start("koop_guard", measured="state:x[0]", command="/knob:data", theta_start=0.5, dt=0.005)
-    told = probe.collect(Float64, "/knob")
-
-    def until(theta):
-        def is_there():
-            state.publish(MeasuredState(step=next(steps), x=[random()]))
-            target.publish(Float64MultiArray(data=[theta]))
-            return states and (states[-1].status, states[-1].theta[0]) == (
-                GuardState.FOLLOWING,
-                theta,
-            )
-
-        probe.spin_until(is_there, f"theta at {theta}")
-
-    for theta in (0.5, 0.25, 0.4, 0.0, 0.4):
-        until(theta)
-        assert told[-1].data == theta
-
-
-def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_behind(start, probe):
+def test_theta_arrives_at_targets_and_no_step_is_answered_twice_by_a_controller_behind(
+    start, probe
+):
     node, dt, behind = probe.node, 0.005, 200  # steps: more than a message may be overtaken by
     said = probe.collect(ControlInput, "/koop_guard/theta")
     state, asked = (node.create_publisher(*of, 10) for of in ((MeasuredState, "state"),
                                                               (ControlInput, "theta")))  # fmt: skip
     target = node.create_publisher(Float64MultiArray, "/koop_guard/target", KEPT)
+    states, steps, aim, follows = [], itertools.count(1), [0.5], []
+    node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
     start("koop_guard", measured="state:x[0]", command="/knob:data", theta_safe=1.0,
           theta_start=0.5, dt=dt)  # fmt: skip
-    knob, steps, follows = probe.collect(Float64, "/knob"), itertools.count(1), []
+    knob = probe.collect(Float64, "/knob")
 
     def until(condition, what):
         """Be rig and who sets a target, and then the controller, until it is so."""
@@ -378,26 +360,39 @@ def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_be
         def publish():
             step = next(steps)
             state.publish(MeasuredState(step=step, x=[random()]))
-            target.publish(Float64MultiArray(data=[] if follows else [0.5]))
+            target.publish(Float64MultiArray(data=aim))
             if follows:
                 asked.publish(ControlInput(step=step - behind, theta=[0.8]))
             return condition()
 
         probe.spin_until(publish, what)
 
-    until(lambda: said and said[-1].step > 2 * behind and knob, "the guard's own answers")
+    for theta in (0.5, 0.25, 0.4, 0.0, 0.4):
+        aim[:] = [theta]
+        there = lambda: states and (states[-1].status, states[-1].theta[0]) == (  # noqa: E731
+            GuardState.FOLLOWING, theta)  # noqa: B023  # fmt: skip
+        until(there, f"theta at {theta}")
+        until(lambda: knob[-1].data == theta, f"the rig told of {theta}")  # noqa: B023
+    until(lambda: said and said[-1].step > 2 * behind, "the guard's own answers")
+    aim.clear()
     follows.append(last := said[-1].step)
     until(lambda: said[-1].step > last + behind and said[-1].theta[0] == 0.8, "the controller's")
-    assert knob[-1].data == pytest.approx(0.8, abs=0.3)
+    assert knob[-1].data == pytest.approx(0.8, abs=0.4)
     assert all(a.step < b.step for a, b in pairwise(said))
 
 
-def test_theta_is_at_theta_safe_though_the_guard_stops(up, fast_rig, tmp_path):
+def test_an_orderly_end_may_hold_theta_and_a_guard_that_stops_may_not(up, fast_rig, tmp_path):
     """See also the ends of the other loops of this file."""
     facts = tmp_path / "facts"
-    process, nodes = up(on_alarm=alarm(facts))
+    values = {"on_end": "hold", "note": str(tmp_path / "note"), "on_alarm": alarm(facts)}
+    process, _ = up(**values)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(LONG) == 0
+    assert fast_rig.theta < 0.9
+    assert not facts.exists()  # an orderly end is no alarm
+    process, nodes = up("again", **values)  # goes on where theta was left
     os.kill(nodes["guard"], signal.SIGSTOP)
-    check_end(process, nodes, fast_rig, tmp_path / "run", 2)
+    check_end(process, nodes, fast_rig, tmp_path / "again", 2)
     check_alarm(facts, "the guard was killed", fast_rig)
     assert facts.read_text().count("NEXT") == 1
 
@@ -409,18 +404,14 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig
     fast_rig.spike = True
     home(fast_rig, process)
     fast_rig.spike = False
-    reason, states = "data[0] = 99 is beyond its limit 8", []
-    for code, number in ((2, signal.SIGKILL), (0, signal.SIGINT)):
-        os.kill(nodes["guard"] if code else process.pid, number)
-        assert process.wait(LONG) == code
-        process = koop("up", "loop.yaml", "--out", f"after {code}")
-        states.clear()
-        state = probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
-        probe.spin_until(lambda: states and not states[-1].rearm_refused, "the trip")
-        probe.node.destroy_subscription(state)
-        assert (states[-1].status, states[-1].reason) == (GuardState.TRIPPED, reason)
-        assert states[-1].tripped_at < time.time() - 1.0
-        home(fast_rig, process)
+    os.kill(nodes["guard"], signal.SIGKILL)
+    assert process.wait(LONG) == 2
+    process, states = koop("up", "loop.yaml", "--out", "again"), []
+    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    probe.spin_until(lambda: states and not states[-1].rearm_refused, "the trip")
+    assert (states[-1].status, states[-1].reason) == (GuardState.TRIPPED, REASONS["spike"][1])
+    assert states[-1].tripped_at < time.time() - 1.0
+    home(fast_rig, process)
     rearm(probe, states, fast_rig)
     process.send_signal(signal.SIGTERM)  # as systemd does
     assert process.wait(LONG) == 0
@@ -473,17 +464,6 @@ def test_a_loop_goes_on_where_its_controller_was_killed(
     assert_replays(koop, tmp_path / "again")
 
 
-def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_path):
-    values = {"on_end": "hold", "note": str(tmp_path / "note")}
-    process, _ = up(**values)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(LONG) == 0
-    assert fast_rig.theta < 0.9
-    process, nodes = up("again", **values)  # goes on where theta was left
-    os.kill(nodes["lifter"], signal.SIGKILL)
-    check_end(process, nodes, fast_rig, tmp_path / "again", 2)
-
-
 @pytest.mark.parametrize(
     ("code", "said"),
     [
@@ -522,8 +502,9 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(koop, nodes_of,
             "measured": "/state:x[0],x[1]", "command": "/theta:theta[0]", "theta_min": -5.0,
             "theta_max": 5.0, "theta_start": 2.0, "theta_safe": 2.5,
         }  # fmt: skip
+        lifter = {"cost": "raw", "omega_h": 300.0, "omega_l": 30.0}  # settles in 0.1 s
         esc = {"step_size": 0.004, "theta_initial": 2.0, "rate_limit": 1.0}
-        values = {"koopman_lifter": {"cost": "raw"}, "relay_esc": esc, "koop_guard": guard}
+        values = {"koopman_lifter": lifter, "relay_esc": esc, "koop_guard": guard}
         file = tmp_path / "loop.yaml"
         parameter_file.write(values, file)
         file.write_text(file.read_text().replace("/**/", "/"))
@@ -560,12 +541,15 @@ def manager(tmp_path, monkeypatch):
         yield says, said
 
 
-def test_service_manager_and_any_terminal_are_told_how_the_loop_is(
+def test_service_manager_any_terminal_and_the_page_are_told_how_the_loop_is(
     manager, up, fast_rig, koop, probe, tmp_path
 ):
-    """The service manager is not told that it goes on if it does not; a terminal may end it."""
+    """The service manager is not told that it goes on if it does not; a terminal may end it.
+
+    The page trips the guard, says why, and rearms it.
+    """
     (says, said), states = manager, []
-    process, nodes = up()
+    process, nodes = up(options=["--serve", "0"])
     probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
 
     def asked(*words):
@@ -598,6 +582,24 @@ def test_service_manager_and_any_terminal_are_told_how_the_loop_is(
     shown = float(re.search(r"theta = (\S+), guard", text)[1])
     assert any(abs(shown - theta) < 1e-3 for _, theta in fast_rig.moved)
     assert asked("nowhere") == (3, "no loop runs of nowhere\n")
+    log = tmp_path / "run" / "logs" / "view.log"
+    address = wait(lambda: re.search(r"http://\S+token=\S+", log.read_text()), "the page", process)
+    with Chromium(tmp_path, address[0]) as page:
+        text = "document.querySelector('#guard-text')?.textContent ?? ''"
+        ready = "document.querySelector('#ID').disabled === false"
+        page.wait(f"{text} === 'Guard: following'")
+        page.wait(ready.replace("ID", "trip"))
+        page.value("document.querySelector('#trip').click()")
+        page.wait(f"{text}.includes('tripped: ~/trip was called')")
+        wait(lambda: says("tripped: ~/trip was called"), "the trip", process, LONG)
+        home(fast_rig, process)
+        page.wait(ready.replace("ID", "rearm"))
+        page.value("document.querySelector('#rearm').click()")
+        page.value("document.querySelector('#confirm-yes').click()")
+        page.wait(f"{text} === 'Guard: following'")
+        page.wait("document.querySelector('#acts').textContent.split('done').length === 3")
+        wait(lambda: fast_rig.theta < 0.7, "the controller to command again", process)
+        assert page.errors == []
     os.kill(nodes["recorder"], signal.SIGKILL)
     wait(lambda: says("recorder has ended"), "the recorder's end", process, LONG)
     assert probe.call(Trigger, "/koop_guard/trip", Trigger.Request()).success
@@ -611,28 +613,6 @@ def test_service_manager_and_any_terminal_are_told_how_the_loop_is(
     assert process.wait(LONG) == 1  # as after Ctrl-C, without its recorder
     assert says("STOPPING=1")
     assert not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values())
-
-
-def test_the_page_says_what_tripped_the_guard_and_rearms_it(up, fast_rig, tmp_path):
-    process, _ = up(options=["--serve", "0"])
-    log = tmp_path / "run" / "logs" / "view.log"
-    address = wait(lambda: re.search(r"http://\S+token=\S+", log.read_text()), "the page", process)
-    with Chromium(tmp_path, address[0]) as page:
-        text = "document.querySelector('#guard-text')?.textContent ?? ''"
-        ready = "document.querySelector('#ID').disabled === false"
-        page.wait(f"{text} === 'Guard: following'")
-        page.wait(ready.replace("ID", "trip"))
-        page.value("document.querySelector('#trip').click()")
-        page.wait(f"{text}.includes('tripped: ~/trip was called')")
-        home(fast_rig, process)
-        page.wait(ready.replace("ID", "rearm"))
-        page.picture(tmp_path / "tripped.png")
-        page.value("document.querySelector('#rearm').click()")
-        page.value("document.querySelector('#confirm-yes').click()")
-        page.wait(f"{text} === 'Guard: following'")
-        page.wait("document.querySelector('#acts').textContent.split('done').length === 3")
-        wait(lambda: fast_rig.theta < 0.7, "the controller to command again", process)
-        assert page.errors == []
 
 
 def test_a_twin_that_was_stopped_at_its_start_hangs(own_domain):
