@@ -22,7 +22,7 @@ TOOLS = (
 )  # fmt: skip
 COMMANDS = "src/koop_lab/koop_lab/cli/commands.txt"  # shown by --help
 # arguments for pytest if the user gives none
-WHOLE = "--numprocesses auto --dist worksteal"
+WHOLE = "--numprocesses auto --dist loadfile --no-loadscope-reorder"
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "ROS_DISTRO", "PYTHONPATH", "LD_LIBRARY_PATH")
 
 
