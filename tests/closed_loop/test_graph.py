@@ -30,20 +30,7 @@ class Levels:
         )
 
 
-def test_a_sensor_that_offers_best_effort_is_heard(start, probe):
-    costs = probe.collect(Cost, "cost")
-    sensor = probe.node.create_publisher(MeasuredState, "state", BEST_EFFORT)
-    start("koopman_lifter", listeners="probe")
-
-    def measure():
-        sensor.publish(MeasuredState(step=1, x=[1.0, 2.0]))
-        return costs
-
-    probe.spin_until(measure, "a cost")
-    assert costs[0].step == 1
-
-
-def test_a_sensor_that_begins_later_with_best_effort_is_heard_too(start, probe):
+def test_a_sensor_that_begins_later_and_offers_best_effort_is_heard(start, probe):
     costs, levels = probe.collect(Cost, "cost"), Levels(probe)
     start("koopman_lifter", listeners="probe")
     probe.spin_until(lambda: "no publisher" in levels.of("koopman_lifter")[1], "the report")

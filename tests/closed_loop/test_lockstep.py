@@ -166,13 +166,11 @@ def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
     assert not any(run.lost.values())
 
 
-@pytest.mark.parametrize(
-    ("limits", "composed"), [(LIMITED, False), (ADAPTIVE, True)], ids=["relay", "adaptive"]
-)
+@pytest.mark.parametrize("limits", [LIMITED, ADAPTIVE], ids=["relay", "adaptive"])
 def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_bit(
-    limits, composed, module_domain, tmp_path
+    limits, module_domain, tmp_path
 ):
-    lockstep = record(2000, limits, tmp_path, composed)
+    lockstep = record(2000, limits, tmp_path, True)
     options, run = lockstep.parameters, lockstep.run
     offline = simulate(options.plant, options.lifter, options.esc, None, lockstep.steps)
     recording = read_recording(lockstep.folder)
@@ -206,15 +204,12 @@ def test_with_delays_nodes_loop_and_replay_are_equal_to_the_last_bit(module_doma
     plant = PlantConfig(seed=5)
     training = TrainingConfig(trajectories=20, duration=20.0, degree=1)
     train(plant, training, True, Delays(2, 4, 22)).save(tmp_path / "model.npz")
-    values = {
-        "vdp_plant": {"pace": "lockstep", "duration": 10.0, "seed": 5},
+    changes = {
         "koopman_lifter": {"model": str(tmp_path / "model.npz"), "omega_l": 1.0},
         "relay_esc": {"dwell": 0.5, "step_size": 0.01},
     }
-    options = make(values)
-    with LiveLoop(tmp_path / "run", options) as loop:
-        loop.run(lambda progress: None)
-    run = read_loop(tmp_path / "run" / "bag").closed(tmp_path / "run" / "bag")
+    lockstep = record(2000, changes, tmp_path / "run", True)
+    options, run = lockstep.parameters, lockstep.run
     offline = simulate(options.plant, options.lifter, options.esc, options.load_model(), 2000)
     recording = read_recording(tmp_path / "run")
     for r, theta in ((offline.r, offline.theta), replay(recording, make_plan(recording))):

@@ -99,17 +99,6 @@ def test_ctrl_c_ends_a_rig_s_loop_in_order_and_who_comes_second_is_refused(
     assert (values["koopman_lifter"]["cost"], values["relay_esc"]["dwell"]) == ("raw", 0.1)
 
 
-def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, up, rig_file, tmp_path):
-    process = up(rig_file, "--out", "run")
-    wait_for(moving(tmp_path / "run"), process, "the recording")
-    os.kill(nodes_of(process)["recorder"], signal.SIGKILL)
-    wait_for(lambda: "the loop goes on without it" in process.printed(), process, "the note")
-    assert "recorder was killed by signal 9" in process.printed()
-    assert {"esc", "lifter", "rig"} <= set(nodes_of(process))
-    process.send_signal(signal.SIGINT)
-    assert process.wait(TIMEOUT) == 1
-
-
 def test_a_node_that_dies_ends_the_run_with_its_reason(nodes_of, up, tmp_path):
     file = tmp_path / "simulated.yaml"
     file.write_text(f"{FAST}/two/vdp_plant: {{ros__parameters: {{pace: lockstep}}}}\n")
