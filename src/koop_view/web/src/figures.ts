@@ -13,6 +13,7 @@ import {
   padded,
   style,
 } from "./chart";
+import { byId } from "./dom";
 import { short } from "./format";
 import type { Loop } from "./loop";
 import type { Desk } from "./operator";
@@ -25,7 +26,7 @@ interface TimeFigure {
   height: number;
   label: string;
   stream(loop: Loop): Stream;
-  signals: readonly string[] | "channels";
+  signals: readonly string[] | "channels" | "knobs";
   log?: boolean; // as the page says for r
   withLimits?: boolean; // the axis reaches from limit to limit
   hooks?: uPlot.Hooks.Arrays;
@@ -81,7 +82,7 @@ export class Figures {
         height: 200,
         label: "θ",
         stream: (loop) => loop.theta,
-        signals: ["theta"],
+        signals: "knobs",
         withLimits: true,
         hooks: {
           drawClear: [(u) => this.drawHolds(u)],
@@ -105,11 +106,14 @@ export class Figures {
         signals: "channels",
       }),
       new Figure("map", () => 250, this.mapDrawing()),
+      new Figure("pair", () => 1000, this.pairDrawing()),
     ];
+    byId("pair").addEventListener("change", () => this.redraw());
   }
 
   /** Draw what is due. */
   draw(now: number): void {
+    this.showPairs();
     for (const figure of this.figures) figure.draw(now);
   }
 
@@ -121,7 +125,7 @@ export class Figures {
     const { time } = this;
     const names = (): readonly string[] => {
       const { signals } = figure;
-      return signals === "channels" ? (this.desk.loop?.channels ?? []) : signals;
+      return typeof signals === "string" ? (this.desk.loop?.[signals] ?? []) : signals;
     };
     const isLog = (): boolean => figure.log === true && this.logR;
     return new Figure(figure.name, () => time.period(), {
@@ -232,6 +236,49 @@ export class Figures {
     };
   }
 
+  /** Of several knobs, let two be chosen. */
+  private showPairs(): void {
+    const knobs = this.desk.loop?.knobs ?? [];
+    for (const name of ["map", "pair"]) {
+      byId(`${name}-figure`).hidden = knobs.length > 1 !== (name === "pair");
+    }
+    const pairs = knobs.flatMap((x, i) => knobs.slice(i + 1).map((y) => `${x} ${y}`));
+    const select = byId<HTMLSelectElement>("pair");
+    if (Array.from(select.options, ({ value }) => value).join() === pairs.join()) return;
+    select.replaceChildren(...pairs.map((pair) => new Option(pair.replace(" ", " × "), pair)));
+  }
+
+  private pairDrawing(): Drawing {
+    const names = (): string[] => byId<HTMLSelectElement>("pair").value.split(" ");
+    let path = { x: [] as number[], y: [] as number[], r: [] as number[] };
+    return {
+      shape: () => names().join(),
+      options: (width) => ({
+        width,
+        height: 320,
+        legend: { show: false },
+        series: [{}, { width: 0, points: { show: false } }],
+        scales: {
+          x: { time: false, range: padded(false, 0.06) },
+          y: { range: padded(false, 0.06) },
+        },
+        axes: [
+          axis(24, false, { label: names()[0] ?? "" }),
+          axis(54, false, { label: names()[1] ?? "" }),
+        ],
+        cursor: { show: false },
+        hooks: { draw: [(u) => drawPath(u, path)] },
+      }),
+      data: () => {
+        const [first = "", second = ""] = names();
+        const { loop } = this.desk;
+        if (!loop || !second) return undefined;
+        path = loop.path(first, second, ...this.time.range());
+        return path.x.length ? [ends(path.x), ends(path.y)] : undefined;
+      },
+    };
+  }
+
   /** Where the loop is now. */
   private drawNow(u: uPlot): void {
     const { theta, r } = this.desk.loop?.now ?? { theta: NaN, r: NaN };
@@ -243,6 +290,40 @@ export class Figures {
       ctx.fill();
     });
   }
+}
+
+/** The path of two knobs: a line, dots from blue to orange as r grows, and a ring where it ends. */
+function drawPath(u: uPlot, { x, y, r }: { x: number[]; y: number[]; r: number[] }): void {
+  const levels = r.map((value) => Math.log(value));
+  const [low, high] = ends(levels.filter(Number.isFinite));
+  clipped(u, (ctx, ratio) => {
+    const at = (i: number): [number, number] => [
+      u.valToPos(x[i]!, "x", true),
+      u.valToPos(y[i]!, "y", true),
+    ];
+    ctx.strokeStyle = style("--soft");
+    ctx.beginPath();
+    for (let i = 0; i < x.length; i += 1) ctx.lineTo(...at(i));
+    ctx.stroke();
+    for (let i = 0; i < x.length; i += 1) {
+      const share = (levels[i]! - low) / (high - low || 1);
+      if (!Number.isFinite(share)) continue;
+      ctx.fillStyle = `color-mix(in srgb, ${style("--c1")} ${Math.round(100 * share)}%, ${style("--c0")})`;
+      ctx.beginPath();
+      ctx.arc(...at(i), 3 * ratio, 0, 2 * Math.PI);
+      ctx.fill();
+    }
+    if (!x.length) return;
+    ctx.strokeStyle = style("--ink");
+    ctx.lineWidth = 2 * ratio;
+    ctx.beginPath();
+    ctx.arc(...at(x.length - 1), 6 * ratio, 0, 2 * Math.PI);
+    ctx.stroke();
+  });
+}
+
+function ends(values: number[]): [number, number] {
+  return [Math.min(...values), Math.max(...values)];
 }
 
 function line(label: string, stroke: string, more: uPlot.Series = {}): uPlot.Series {

@@ -9,6 +9,7 @@ import { Stream } from "./stream";
 const FORGOTTEN = 60; // [s] without a report: a node that the loop does not need has ended
 const MOST_INTERVALS = 400;
 const MOST_EVENTS = 200;
+const MOST_POINTS = 2000; // of a path
 
 /** A time in which something held; `to` is infinite while it lasts. */
 export interface Interval {
@@ -35,6 +36,7 @@ export class Loop {
   holds: Interval[] = [];
   events: { t: number; text: string }[] = [];
   channels: string[] = [];
+  knobs: string[] = ["theta"];
   source = -1; // of the cost: 0 raw, 1 lifted
   modelId = "";
   readonly now: LoopState = {
@@ -116,7 +118,11 @@ export class Loop {
   }
 
   private takeTheta(t: number, now: number, message: Message): void {
-    this.now.theta = (message["theta"] as Float64Array)[0] ?? NaN;
+    const theta = message["theta"] as Float64Array;
+    if (theta.length !== this.knobs.length) {
+      this.knobs = Array.from(theta, (_, i) => (theta.length > 1 ? `theta[${i}]` : "theta"));
+    }
+    this.now.theta = theta[0] ?? NaN;
     this.now.holding = message["holding"] === true;
     this.now.saturated = message["saturated"] === true;
     this.swing = message["swing"] as number;
@@ -125,8 +131,27 @@ export class Loop {
     this.now.commanded = message["epsilon"] === 0;
     const isHeld = this.now.holding && !this.now.commanded; // a commander moves theta
     extend(this.holds, isHeld, t, this.theta.last);
-    this.theta.push(t, Number(message["step"]), ["theta"], [this.now.theta], now);
+    this.theta.push(t, Number(message["step"]), this.knobs, theta, now);
     if (!this.now.holding || this.now.commanded) this.map.push(this.now.theta, this.now.r);
+  }
+
+  /** Theta of two knobs over [from, to], oldest first, with the cost of the same step; thinned. */
+  path(
+    first: string,
+    second: string,
+    from: number,
+    to: number,
+  ): { x: number[]; y: number[]; r: number[] } {
+    const [x, y] = [this.theta.raw(first, from, to), this.theta.raw(second, from, to)];
+    const cost = this.cost.raw("r", from - 1, to);
+    const costs = new Map(cost.step.map((step, i) => [step, cost.v[i]!]));
+    const every = Math.ceil(x.v.length / MOST_POINTS);
+    const some = x.step.map((_, i) => i).filter((i) => i % every === 0 && i < y.v.length);
+    return {
+      x: some.map((i) => x.v[i]!),
+      y: some.map((i) => y.v[i]!),
+      r: some.map((i) => costs.get(x.step[i]!) ?? NaN),
+    };
   }
 
   report(status: Status, now: number): void {

@@ -65,3 +65,21 @@ test("with a commander, its dwell points belong to the map and are not held", ()
   assert.equal(loop.now.commanded, true);
   assert.deepEqual(loop.holds, [{ from: 1, to: 1 }]); // what a commander moves is not held
 });
+
+test("of several knobs all are kept, and two are a path with the costs of their steps", () => {
+  const loop = new Loop(names);
+  for (const step of [1, 2, 3]) {
+    const cost = { step: BigInt(step), r: 10 * step, settling: false, source: 0, model_id: "" };
+    loop.take("/cost", step, step, cost);
+    const knobs = Float64Array.of(step, -step, 7);
+    if (step !== 2) {
+      loop.take("/theta", step, step, { ...theta(1, false), step: BigInt(step), theta: knobs });
+    }
+  }
+  assert.deepEqual(loop.knobs, ["theta[0]", "theta[1]", "theta[2]"]);
+  assert.deepEqual(loop.path("theta[1]", "theta[0]", 0, 9), {
+    x: [-1, -3],
+    y: [1, 3],
+    r: [10, 30],
+  });
+});
