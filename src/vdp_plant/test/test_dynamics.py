@@ -122,11 +122,3 @@ def test_a_bad_value_is_refused_with_the_reason(values, message):
 def test_an_integer_is_taken_for_a_float():
     assert PlantConfig(mu=2).mu == 2.0
     assert type(PlantConfig(mu=2).mu) is float
-
-
-def test_the_actuator_stays_within_its_limits_and_its_rate():
-    free = PlantConfig(theta_min=-1.0, theta_max=2.0).params()
-    assert [dynamics.actuate(free, 0.0, theta) for theta in (-5.0, 0.5, 5.0)] == [-1.0, 0.5, 2.0]
-    slow = PlantConfig(theta_min=-1.0, theta_max=2.0, theta_rate=20.0, dt=0.005).params()
-    actual = [dynamics.actuate(slow, 0.0, theta) for theta in (-5.0, 0.05, 5.0)]
-    assert actual == pytest.approx([-0.1, 0.05, 0.1])

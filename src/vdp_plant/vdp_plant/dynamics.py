@@ -104,15 +104,6 @@ def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[floa
 
 
 @njit()
-def actuate(p: PlantParams, applied: float, theta: float) -> float:
-    """Return the theta that acts in the next step: within the actuator's bounds and rate.
-
-    The controller has limits of its own; these hold for any source of commands.
-    """
-    return limit(theta, applied, p.theta_min, p.theta_max, p.theta_rate * p.dt)
-
-
-@njit()
 def limit(theta: float, applied: float, low: float, high: float, most: float) -> float:
     """Return theta within bounds, and no further from what was applied than ``most``."""
     theta = min(max(theta, low), high)
@@ -125,10 +116,11 @@ def advance(
 ) -> tuple[float, float, float]:
     """Advance the plant by one step under a commanded theta: actuate, then integrate.
 
-    ``applied`` is the theta that acted in the step before. Returns x and y at t_{k+1} and the theta
-    that acted.
+    ``applied`` is the theta that acted in the step before. The actuator's bounds and rate hold for
+    any source of commands; the controller has limits of its own. Returns x and y at t_{k+1} and the
+    theta that acted.
     """
-    applied = actuate(p, applied, theta)
+    applied = limit(theta, applied, p.theta_min, p.theta_max, p.theta_rate * p.dt)
     x, y = step(p, k, x, y, applied)
     return x, y, applied
 

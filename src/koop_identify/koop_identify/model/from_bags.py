@@ -102,7 +102,8 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
                 gram.add_trajectory(delays.embed(states))
             if training.contrast:
                 recordings.append(load_recording(bag, training.reading, segmentation))
-                if recordings[-1].has_several_knobs:
+                theta = recordings[-1].theta
+                if theta is not None and theta.ndim > 1:
                     raise InputError("a contrast is learned over one knob: name one of the fields")
         origin = {"name": path.name, "sha256": sha256(path), "pairs": gram.pairs - before}
         bags.append({**origin, **segmenter.described()})

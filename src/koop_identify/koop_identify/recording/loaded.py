@@ -48,11 +48,6 @@ class Loaded:
     time: NDArray[np.float64]
     recorded: float = 0.0
 
-    @property
-    def has_several_knobs(self) -> bool:
-        """Whether theta has several values at each state."""
-        return self.theta is not None and self.theta.ndim > 1
-
     def after(self, first: int) -> Loaded:
         """Return the recording from a sample on."""
         theta = None if self.theta is None else self.theta[first:]

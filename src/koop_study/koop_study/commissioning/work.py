@@ -115,7 +115,9 @@ def commissioned(
             return tuning
         passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
         loops = first.later(len(rounds), find_longer(rounds), passed) if rounds else first
-        closed = loops.close(tuned_controller(tuning))
+        task, constants, model = tuning.task, tuning.best.constants, tuning.chosen.maps.cost.model
+        esc = make_esc(task, constants, task.low)
+        closed = loops.close(RigController(make_lifter(task, constants), esc, model))
         aim = summarise(tuned).make_aim(file)
         before = [loops.rest(end, start, aim, 3 * OTHER) for end, start in enumerate(starts)]
         runs = tuple(
@@ -175,10 +177,3 @@ class Loops:
         """Close it with a controller."""
         return [close(rig, controller, self.noises[end], self._seed + end * OTHER)
                 for end, rig in enumerate(self.rigs)]  # fmt: skip
-
-
-def tuned_controller(tuning: Tuning) -> RigController:
-    """Return the tuned controller."""
-    task, constants = tuning.task, tuning.best.constants
-    esc = make_esc(task, constants, task.low)
-    return RigController(make_lifter(task, constants), esc, tuning.chosen.maps.cost.model)

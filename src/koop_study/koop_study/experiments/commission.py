@@ -110,21 +110,8 @@ def _is_good(row: Row) -> bool:
     return ratio is not None and ratio <= FAMILY.good
 
 
-def _refused_wrongly(row: Row) -> bool:
-    return bool(row["has_optimum"]) and row["verdict"] != "tuned"
-
-
 def _refused_rightly(row: Row) -> bool:
     return not row["has_optimum"] and row["verdict"] not in ("tuned", "error")
-
-
-def _falsely_damped(row: Row) -> bool:
-    """Return True also if no truth supports the word."""
-    return row["damped"] and not _is_good(row)
-
-
-def _falsely_not(row: Row) -> bool:
-    return not row["damped"] and _is_good(row)
 
 
 def _share(count: int, of: int) -> float | None:
@@ -157,12 +144,12 @@ def _summary(config: CommissionConfig, rows: list[Row]) -> Table:
                 name,
                 len(group),
                 len(optimum),
-                sum(map(_refused_wrongly, group)),
+                sum(row["verdict"] != "tuned" for row in optimum),
                 _share(sum(map(_is_good, optimum)), len(optimum)),
                 _share(sum(map(_refused_rightly, group)), without),
                 sum(row["damped"] for row in group),
-                sum(map(_falsely_damped, group)),
-                sum(map(_falsely_not, group)),
+                sum(row["damped"] and not _is_good(row) for row in group),  # no truth supports it
+                sum(not row["damped"] and _is_good(row) for row in group),
                 quantile([row["excited"] for row in group], 0.5),
             )
         )
