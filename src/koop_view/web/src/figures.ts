@@ -142,10 +142,10 @@ export class Figures {
           y: {
             distr: isLog() ? 3 : 1,
             range: (u, low, high) => {
-              const limits = figure.withLimits ? this.desk.limits : undefined;
+              const limits = figure.withLimits ? this.desk.limits.flat() : [];
               const pad = padded(isLog(), 0.06);
-              if (!limits || low === null || high === null) return pad(u, low, high);
-              return pad(u, Math.min(low, limits[0]), Math.max(high, limits[1]));
+              if (low === null || high === null) return pad(u, low, high);
+              return pad(u, Math.min(low, ...limits), Math.max(high, ...limits));
             },
           },
         },
@@ -195,7 +195,11 @@ export class Figures {
 
   /** theta's limits. */
   private drawLimits(u: uPlot, scale: "x" | "y"): void {
-    for (const value of this.desk.limits ?? []) drawLevel(u, scale, value, style("--ink"));
+    const { limits } = this.desk;
+    limits.forEach((ends, i) => {
+      const stroke = limits.length > 1 ? color(i) : style("--ink");
+      for (const value of ends) drawLevel(u, scale, value, stroke);
+    });
   }
 
   /** Restarts, other costs and models, with their names. */

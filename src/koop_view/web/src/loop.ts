@@ -37,6 +37,7 @@ export class Loop {
   events: { t: number; text: string }[] = [];
   channels: string[] = [];
   knobs: string[] = ["theta"];
+  at: number[] = []; // theta of each knob
   source = -1; // of the cost: 0 raw, 1 lifted
   modelId = "";
   readonly now: LoopState = {
@@ -122,6 +123,7 @@ export class Loop {
     if (theta.length !== this.knobs.length) {
       this.knobs = Array.from(theta, (_, i) => (theta.length > 1 ? `theta[${i}]` : "theta"));
     }
+    this.at = Array.from(theta);
     this.now.theta = theta[0] ?? NaN;
     this.now.holding = message["holding"] === true;
     this.now.saturated = message["saturated"] === true;

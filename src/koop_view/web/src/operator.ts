@@ -6,13 +6,14 @@ import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
 
 const MOST_ACTS = 50;
-const [DOUBLE, STRING] = [3, 4]; // rcl_interfaces/msg/ParameterType
+const [DOUBLE, STRING, DOUBLE_ARRAY] = [3, 4, 8]; // rcl_interfaces/msg/ParameterType
 
 /** What the operator sees. */
 export interface Desk {
   loop: Loop | undefined;
   operate: boolean;
-  limits: [number, number] | undefined; // of theta
+  limits: [number, number][]; // of theta, of each knob; empty: not known
+  each(name: string): number[]; // a parameter of the controller, for each knob
   parameter(name: string): unknown; // `controller.theta_min`
 }
 
@@ -52,15 +53,27 @@ export class Operator {
     allow("resume", "hold");
     allow("reset", "reset");
     allow("set-limits", "set_parameters_atomically");
-    if (!limits) byId<HTMLButtonElement>("set-limits").disabled = true; // a commander has none
+    if (!limits.length) byId<HTMLButtonElement>("set-limits").disabled = true; // a commander's
     this.showGuard();
     this.showProposal();
     byId("hold").classList.toggle("pressed", loop?.now.holding ?? false);
     byId("resume").classList.toggle("wanted", loop?.now.holding ?? false);
-    if (!limits || limits.join() === this.shown) return;
-    this.shown = limits.join();
-    byId<HTMLInputElement>("theta-min").value = String(limits[0]);
-    byId<HTMLInputElement>("theta-max").value = String(limits[1]);
+    const choice = byId<HTMLSelectElement>("limits-of");
+    const knobs = loop?.knobs ?? [];
+    choice.hidden = knobs.length < 2;
+    if (Array.from(choice.options, ({ text }) => text).join() !== knobs.join()) {
+      choice.replaceChildren(...knobs.map((knob) => new Option(knob)));
+    }
+    const ends = limits[this.knob];
+    if (!ends || `${this.knob} ${ends}` === this.shown) return;
+    this.shown = `${this.knob} ${ends}`;
+    byId<HTMLInputElement>("theta-min").value = String(ends[0]);
+    byId<HTMLInputElement>("theta-max").value = String(ends[1]);
+  }
+
+  /** The knob whose limits are shown. */
+  private get knob(): number {
+    return Math.max(byId<HTMLSelectElement>("limits-of").selectedIndex, 0);
   }
 
   /** A line about the guard, if the loop has one, and what may be done with it. */
@@ -118,7 +131,7 @@ export class Operator {
   }
 
   private async reset(): Promise<void> {
-    const [low, high] = this.desk.limits ?? [NaN, NaN];
+    const [low, high] = this.desk.limits[0] ?? [NaN, NaN];
     const initial = clamp(this.number("theta_initial"), low, high);
     const limit = this.number("rate_limit");
     const text =
@@ -133,9 +146,12 @@ export class Operator {
     const low = byId<HTMLInputElement>("theta-min").valueAsNumber;
     const high = byId<HTMLInputElement>("theta-max").valueAsNumber;
     if (Number.isNaN(low) || Number.isNaN(high)) return;
-    const words = [`θ's limits become [${short(low)}, ${short(high)}].`];
+    const { knob, desk } = this;
+    const words = [
+      `The limits of ${desk.loop?.knobs[knob]} become [${short(low)}, ${short(high)}].`,
+    ];
     const values: Record<string, number> = { theta_min: low, theta_max: high };
-    const [theta, initial] = [this.desk.loop?.now.theta ?? NaN, this.number("theta_initial")];
+    const [theta, initial] = [desk.loop?.at[knob] ?? NaN, desk.each("theta_initial")[knob] ?? NaN];
     const isOutside = (v: number): boolean => low < high && (v < low || v > high);
     const inside = (v: number): number => clamp(v, low, high);
     if (isOutside(theta)) {
@@ -146,10 +162,11 @@ export class Operator {
       words.push(`A reset goes to ${short(inside(initial))} then, not to ${short(initial)}.`);
     }
     if (!(await confirm("Limits of θ", words.join(" ")))) return;
-    const parameters = Object.entries(values).map(([name, value]) => ({
-      name,
-      value: { type: DOUBLE, double_value: value },
-    }));
+    const parameters = Object.entries(values).map(([name, value]) => {
+      const all = desk.each(name).map((old, i) => (i === knob ? value : old));
+      const several = { type: DOUBLE_ARRAY, double_array_value: all };
+      return { name, value: all.length > 1 ? several : { type: DOUBLE, double_value: value } };
+    });
     const what = `limits [${short(low)}, ${short(high)}]`;
     await this.call(what, "set_parameters_atomically", { parameters });
   }

@@ -92,11 +92,19 @@ export class Page {
     return this.server?.operate ?? false;
   }
 
-  /** theta's limits. */
-  get limits(): [number, number] | undefined {
-    const low = this.parameter("controller.theta_min");
-    const high = this.parameter("controller.theta_max");
-    return typeof low === "number" && typeof high === "number" ? [low, high] : undefined;
+  /** theta's limits, of each knob; empty: not known. */
+  get limits(): [number, number][] {
+    const low = this.each("theta_min");
+    const high = this.each("theta_max");
+    return low.map((value, i): [number, number] => [value, high[i] ?? NaN]);
+  }
+
+  /** A parameter of the controller for each knob: one number is that of all. */
+  each(name: string): number[] {
+    const value = this.parameter(`controller.${name}`);
+    const knobs = this.loop?.knobs ?? [];
+    if (typeof value === "number") return knobs.map(() => value);
+    return Array.isArray(value) ? value.map(Number) : [];
   }
 
   /** A parameter of the chosen loop, such as `controller.theta_min`. */
@@ -278,7 +286,7 @@ export class Page {
       read: this.read,
       about,
       rows,
-      limits: this.limits,
+      limits: this.limits.length === 1 ? this.limits[0] : undefined,
       loop: loop?.now,
       rate: loop?.rate(time) ?? 0,
     });

@@ -122,7 +122,9 @@ export function showForce(desk: Desk): void {
     for (const [key, unit] of Object.entries(units)) {
       const value = desk.parameter(`${role}.${key}`);
       if (value === undefined || key === "cost" || key === "model") continue;
-      const text = typeof value === "number" ? `${short(value)} ${unit}` : String(value);
+      const values = Array.isArray(value) ? value : [value];
+      const isNumber = values.every((v) => typeof v === "number");
+      const text = isNumber ? `${values.map(short).join(", ")} ${unit}` : String(value);
       pairs.push([key, key === "rate_limit" && value === 0 ? "none" : text]);
     }
   }
