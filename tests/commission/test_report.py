@@ -31,7 +31,7 @@ pytestmark = pytest.mark.timeout(900)  # the first test waits for the tuning of 
 
 def excitation(folder, rig):
     """Make what `koop excite` leaves."""
-    file, (theta, x) = file_of(rig), excited(rig)
+    file, (theta, x) = file_of(rig), excited(rig, windows=12)
     write_bag(folder / "part-1/bag", rig, theta, x)
     windows = Windows(round(8.0 / rig.frequency / rig.params.dt), rig.params.dt)
     design = Design(file, find_holds(loaded_of(theta, x), file.scale, windows.length), windows)

@@ -8,7 +8,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from koop_msgs.msg import Cost, MeasuredState
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from koop_core.config.fields import check_fields, parse_source
 from koop_core.config.parameter import ConfigError
@@ -16,32 +15,22 @@ from koop_node.node.managed import message_type
 from koopman_lifter.config import LifterConfig
 
 
-@pytest.mark.parametrize("kind", ["JointState", "Float64MultiArray"])
-def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
-    measured = {
-        "JointState": "/joint_states:position[0],velocity[0]",
-        "Float64MultiArray": "/adc:data[2],data[0]",
-    }[kind]
-    start("koopman_lifter", measured=measured, listeners="probe")
+def test_a_standard_message_is_lifted_like_a_state(start, probe):
+    start("koopman_lifter", measured="/joint_states:position[0],velocity[0]", listeners="probe")
     costs, states = probe.collect(Cost, "cost"), probe.collect(MeasuredState, "state")
-    message_type = {"JointState": JointState, "Float64MultiArray": Float64MultiArray}[kind]
-    topic = measured.split(":")[0]
     # a driver's usual quality of service: best effort
-    rig = probe.node.create_publisher(message_type, topic, qos_profile_sensor_data)
+    rig = probe.node.create_publisher(JointState, "/joint_states", qos_profile_sensor_data)
     probe.spin_until(lambda: rig.get_subscription_count(), "the lifter")
     for k in range(5):
-        if kind == "JointState":
-            message = JointState(position=[3.0 + k, 9.0], velocity=[4.0])
-            message.header.stamp.sec, message.header.stamp.nanosec = 7, k * 5_000_000
-        else:
-            message = Float64MultiArray(data=[4.0, 9.0, 3.0 + k])
+        message = JointState(position=[3.0 + k, 9.0], velocity=[4.0])
+        message.header.stamp.sec, message.header.stamp.nanosec = 7, k * 5_000_000
         rig.publish(message)
         probe.spin_until(lambda k=k: len(costs) > k and len(states) > k, "state and cost")
     assert [c.step for c in costs] == [s.step for s in states] == list(range(1, 6))
     assert [list(s.x) for s in states] == [[3.0 + k, 4.0] for k in range(5)]
     reference = start_reference(start, probe, states)
     np.testing.assert_array_equal([c.y_out for c in costs], [c.y_out for c in reference])
-    rig.publish(message_type())  # too short: a state that can't be used
+    rig.publish(JointState())  # too short: a state that can't be used
     probe.spin_until(lambda: len(costs) > 5, "the answer")
     assert math.isnan(costs[5].r)
 
