@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from koop_core.errors import InputError
 from koop_core.kernels import direct, njit
-from koopman_lifter.delays import dominant_period
+from koopman_lifter.delays import dominant_period, window_powers
 from koopman_lifter.settings import COST, WATCH
 
 SEGMENTS = 4  # of a window, two periods each: their phases are quarters of a turn
@@ -395,12 +395,8 @@ class Watch:
     def _power(self) -> NDArray[np.float64]:
         """Return the power by bin of what was listened to, and listen again."""
         rows, _, cursor = self._listening
-        windows = (rows / self._scale).reshape(AVERAGED, -1, self.channels)
-        size = windows.shape[1]
-        hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(size) / size)
-        lines = np.fft.rfft((windows - windows.mean(axis=1, keepdims=True)) * hann[:, None], axis=1)
         cursor[0] = 0
-        return np.asarray((np.abs(lines) ** 2).sum(axis=(0, 2)))
+        return window_powers((rows / self._scale).T, len(rows) // AVERAGED).sum(axis=1)
 
     def _compare(self, power: NDArray[np.float64]) -> Change | None:
         """Compare a spectrum with those before it; return a jump of the oscillation."""

@@ -134,20 +134,27 @@ def dominant_period(segments: Sequence[NDArray[np.float64]], dt: float) -> float
             "the spacing of delays or the length of windows by"
         )
     moving = deviation > 0.0
-    t = np.arange(length) - 0.5 * (length - 1)
-    hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
-    powers = []
-    for segment in segments:
-        count = segment.shape[1] // length
-        cut = segment[moving, : count * length] / deviation[moving, None]
-        windows = cut.reshape(len(cut), count, length)
-        line = (windows @ t / (t @ t))[..., None] * t + windows.mean(axis=2, keepdims=True)
-        powers.append((np.abs(np.fft.rfft((windows - line) * hann)) ** 2).sum(axis=0).T)
+    powers = [
+        window_powers(segment[moving] / deviation[moving, None], length) for segment in segments
+    ]
     low, high = np.quantile(np.hstack(powers), [0.1, 0.9], axis=1)
     peak = 2 + int(np.argmax((high - low)[2:-1]))
     around = slice(peak - 1, peak + 2)  # the window function spreads a line over three bins
     bins = np.arange(high.size)[around]
     return float(length * dt / np.average(bins, weights=(high - low)[around]))
+
+
+def window_powers(x: NDArray[np.float64], length: int) -> NDArray[np.float64]:
+    """Return the power of consecutive windows, without their lines, shape (length // 2 + 1, T).
+
+    ``x``, shape (channels, M), is weighted by a Hann window; the powers of the channels add up.
+    """
+    t = np.arange(length) - 0.5 * (length - 1)
+    hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    count = x.shape[1] // length
+    windows = x[:, : count * length].reshape(len(x), count, length)
+    line = (windows @ t / (t @ t))[..., None] * t + windows.mean(axis=2, keepdims=True)
+    return np.asarray((np.abs(np.fft.rfft((windows - line) * hann)) ** 2).sum(axis=0).T)
 
 
 def embedded_degree(n: int) -> int:
