@@ -13,7 +13,7 @@ import {
   padded,
   style,
 } from "./chart";
-import { byId } from "./dom";
+import { byId, setOptions } from "./dom";
 import { short } from "./format";
 import type { Loop } from "./loop";
 import type { Desk } from "./operator";
@@ -113,7 +113,6 @@ export class Figures {
 
   /** Draw what is due. */
   draw(now: number): void {
-    this.showPairs();
     for (const figure of this.figures) figure.draw(now);
   }
 
@@ -241,19 +240,17 @@ export class Figures {
   }
 
   /** Of several knobs, let two be chosen. */
-  private showPairs(): void {
+  showPairs(): void {
     const knobs = this.desk.loop?.knobs ?? [];
     for (const name of ["map", "pair"]) {
       byId(`${name}-figure`).hidden = knobs.length > 1 !== (name === "pair");
     }
-    const pairs = knobs.flatMap((x, i) => knobs.slice(i + 1).map((y) => `${x} ${y}`));
-    const select = byId<HTMLSelectElement>("pair");
-    if (Array.from(select.options, ({ value }) => value).join() === pairs.join()) return;
-    select.replaceChildren(...pairs.map((pair) => new Option(pair.replace(" ", " × "), pair)));
+    const pairs = knobs.flatMap((x, i) => knobs.slice(i + 1).map((y) => `${x} × ${y}`));
+    setOptions(byId<HTMLSelectElement>("pair"), pairs);
   }
 
   private pairDrawing(): Drawing {
-    const names = (): string[] => byId<HTMLSelectElement>("pair").value.split(" ");
+    const names = (): string[] => byId<HTMLSelectElement>("pair").value.split(" × ");
     let path = { x: [] as number[], y: [] as number[], r: [] as number[] };
     return {
       shape: () => names().join(),

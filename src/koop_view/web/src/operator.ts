@@ -1,6 +1,6 @@
 // What the operator does to the loop: requested, confirmed where it moves the rig, answered.
 
-import { byId, make, onClick, setText } from "./dom";
+import { byId, make, onClick, setOptions, setText } from "./dom";
 import { clock, short } from "./format";
 import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
@@ -61,9 +61,7 @@ export class Operator {
     const choice = byId<HTMLSelectElement>("limits-of");
     const knobs = loop?.knobs ?? [];
     choice.hidden = knobs.length < 2;
-    if (Array.from(choice.options, ({ text }) => text).join() !== knobs.join()) {
-      choice.replaceChildren(...knobs.map((knob) => new Option(knob)));
-    }
+    setOptions(choice, knobs);
     const ends = limits[this.knob];
     if (!ends || `${this.knob} ${ends}` === this.shown) return;
     this.shown = `${this.knob} ${ends}`;

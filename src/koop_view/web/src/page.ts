@@ -307,6 +307,7 @@ export class Page {
     showLoops(this.loops, levels, chosen);
     showHealth(rows, loop, this.recorded, time);
     showForce(this);
+    this.figures.showPairs();
     this.operator.refresh();
   }
 

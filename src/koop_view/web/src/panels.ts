@@ -1,6 +1,6 @@
 // The parts of the page that are words: health, loops, what is in force.
 
-import { byId, make, setChildren, setText } from "./dom";
+import { byId, make, setChildren, setOptions, setText } from "./dom";
 import { short, shortName } from "./format";
 import { inputAge, type Level, losses, type Row, silence, urgency } from "./health";
 import { costName, type Loop } from "./loop";
@@ -50,9 +50,7 @@ export function showLoops(
   const names = [...loops.keys()].sort();
   const select = byId<HTMLSelectElement>("loop");
   byId("loop-label").hidden = names.length < 2;
-  if (names.join() !== Array.from(select.options, (option) => option.value).join()) {
-    select.replaceChildren(...names.map((name) => new Option(name, name)));
-  }
+  setOptions(select, names);
   for (const option of select.options) setText(option, describe(option.value));
   select.value = chosen;
   const isBad = (name: string): boolean => urgency(levels.get(name) ?? "off") > urgency("ok");
