@@ -482,6 +482,8 @@ def test_a_rig_that_has_changed_gets_a_better_model(start, probe, tmp_path, adap
     (better,) = tmp_path.glob("model-*.npz")
     if adapt == "propose":
         assert f"ros2 param set /koopman_lifter model {better}" in process.log.read_text()
+        assert set_parameters(probe, "koopman_lifter", adapt="never").successful
+        probe.spin_until(lambda: "proposed_model" not in str(reports[-1]), "its end")
         assert set_parameters(probe, "koopman_lifter", model=str(better)).successful
     swing(1.2, 2.1, 1)
     assert lifter.answers[-1].model_id == better.stem.removeprefix("model-")

@@ -195,6 +195,8 @@ class LifterRun(Run):
             self._candidate = None
         config = self._node.parameters[LifterConfig]
         self._source, self._detector = config.source, config.detector_params()
+        if config.adapt == "never" and self._trial is None:
+            self._end_search()
         if {"cost", "model"} & names:  # of another quantity the filters know nothing
             self._state = cost.joining(self._detector)
             self._begin_watch()
