@@ -282,8 +282,8 @@ export class Figures {
 
   /** Where the loop is now. */
   private drawNow(u: uPlot): void {
-    const { theta, r } = this.desk.loop?.now ?? { theta: NaN, r: NaN };
-    if (!Number.isFinite(theta) || !Number.isFinite(r)) return;
+    const { theta: [theta] = [], r = NaN } = this.desk.loop?.now ?? {};
+    if (theta === undefined || !Number.isFinite(r)) return;
     clipped(u, (ctx, ratio) => {
       ctx.fillStyle = color(1);
       ctx.beginPath();

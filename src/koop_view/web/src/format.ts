@@ -18,3 +18,15 @@ export function clock(t: number): string {
 export function shortName(name: string): string {
   return name.slice(name.lastIndexOf("/") + 1);
 }
+
+/** Theta of each knob, with its limits where they are known. */
+export function knobs(
+  theta: readonly number[] = [],
+  limits: readonly [number, number][] = [],
+): string {
+  const each = theta.map((value, i) => {
+    const ends = limits[i];
+    return short(value) + (ends ? ` in [${short(ends[0])}, ${short(ends[1])}]` : "");
+  });
+  return each.length === 1 ? each[0]! : each.length ? `(${each.join(", ")})` : "–";
+}

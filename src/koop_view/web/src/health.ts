@@ -1,6 +1,6 @@
 // Is the loop healthy? Judged from what arrived and when, said in words. Pure: time is an argument.
 
-import { short, shortName } from "./format";
+import { knobs, short, shortName } from "./format";
 
 export type Level = "ok" | "warn" | "stale" | "error" | "off";
 
@@ -120,7 +120,7 @@ export interface LoopState {
   commanded: boolean; // theta comes from a commander, which has no relay
   settling: boolean;
   saturated: boolean;
-  theta: number;
+  theta: readonly number[]; // of each knob; empty: none has come
   r: number;
 }
 
@@ -131,7 +131,7 @@ export interface Situation {
   read: number | undefined; // messages so far of a recording that is not complete
   about: string; // what the command that runs the loop does now
   rows: readonly Row[];
-  limits: [number, number] | undefined; // of theta
+  limits: readonly [number, number][]; // of theta, of each knob; empty: not known
   rate: number; // steps per second; NaN: not known yet
   loop: LoopState | undefined;
 }
@@ -139,7 +139,7 @@ export interface Situation {
 /** One line: is my loop healthy? */
 export function verdict(s: Situation): Judgement {
   const { loop } = s;
-  const last = `θ = ${short(loop?.theta)}, r = ${short(loop?.r)}.`;
+  const last = `θ = ${knobs(loop?.theta)}, r = ${short(loop?.r)}.`;
   if (s.connection === "connecting") return { level: "off", text: "Connecting to koop serve…" };
   if (s.connection === "lost") {
     const text =
@@ -162,7 +162,7 @@ export function verdict(s: Situation): Judgement {
   const causes = s.rows.filter((row) => row.judgement.level === level);
   if (level === "error") return { level, text: `Fault: ${describe(causes)}` };
   if (level === "stale") return { level, text: `Not healthy: ${describe(causes)}` };
-  if (!Number.isFinite(loop.theta)) return { level: "off", text: "Waiting: no θ has come yet." };
+  if (!loop.theta.length) return { level: "off", text: "Waiting: no θ has come yet." };
   const others = level === "warn" ? causes.filter((row) => !isExpected(row, loop)) : [];
   return describeRun(s, loop, others.length ? ` Warning: ${describe(others)}` : "", last);
 }
@@ -190,9 +190,8 @@ function describeRun(
   warning: string,
   last: string,
 ): Judgement {
-  const range = limits ? ` in [${short(limits[0])}, ${short(limits[1])}]` : "";
   const steps = Number.isFinite(rate) ? `, ${Math.round(rate)} steps per second` : "";
-  const figures = `θ = ${short(loop.theta)}${range}, r = ${short(loop.r)}${steps}.`;
+  const figures = `θ = ${knobs(loop.theta, limits)}, r = ${short(loop.r)}${steps}.`;
   if (loop.commanded && rate !== 0) {
     const text = `Open loop: θ is commanded, not sought: ${figures}${warning}`;
     return { level: warning ? "warn" : "ok", text };

@@ -37,7 +37,6 @@ export class Loop {
   events: { t: number; text: string }[] = [];
   channels: string[] = [];
   knobs: string[] = ["theta"];
-  at: number[] = []; // theta of each knob
   source = -1; // of the cost: 0 raw, 1 lifted
   modelId = "";
   readonly now: LoopState = {
@@ -46,7 +45,7 @@ export class Loop {
     commanded: false,
     settling: false,
     saturated: false,
-    theta: NaN,
+    theta: [],
     r: NaN,
   };
   swing = NaN;
@@ -81,7 +80,8 @@ export class Loop {
     this.map.clear();
     this.holds = [];
     this.events = [];
-    this.now.r = this.now.theta = NaN;
+    this.now.r = NaN;
+    this.now.theta = [];
   }
 
   /** Take a message that came at `t` on the server's clock, `now` on the page's. */
@@ -123,8 +123,7 @@ export class Loop {
     if (theta.length !== this.knobs.length) {
       this.knobs = Array.from(theta, (_, i) => (theta.length > 1 ? `theta[${i}]` : "theta"));
     }
-    this.at = Array.from(theta);
-    this.now.theta = theta[0] ?? NaN;
+    this.now.theta = Array.from(theta);
     this.now.holding = message["holding"] === true;
     this.now.saturated = message["saturated"] === true;
     this.swing = message["swing"] as number;
@@ -134,7 +133,7 @@ export class Loop {
     const isHeld = this.now.holding && !this.now.commanded; // a commander moves theta
     extend(this.holds, isHeld, t, this.theta.last);
     this.theta.push(t, Number(message["step"]), this.knobs, theta, now);
-    if (!this.now.holding || this.now.commanded) this.map.push(this.now.theta, this.now.r);
+    if (!this.now.holding || this.now.commanded) this.map.push(theta[0] ?? NaN, this.now.r);
   }
 
   /** Theta of two knobs over [from, to], oldest first, with the cost of the same step; thinned. */

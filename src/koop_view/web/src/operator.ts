@@ -1,7 +1,7 @@
 // What the operator does to the loop: requested, confirmed where it moves the rig, answered.
 
 import { byId, make, onClick, setOptions, setText } from "./dom";
-import { clock, short } from "./format";
+import { clock, knobs, short } from "./format";
 import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
 
@@ -119,23 +119,21 @@ export class Operator {
     if (await confirm("Rearm the guard", text)) await this.call("rearm", "rearm", {}, "guard");
   }
 
-  private number(name: string): number {
-    return Number(this.desk.parameter(`controller.${name}`) ?? NaN);
-  }
-
   private async resume(): Promise<void> {
-    const text = `The controller moves θ again, from ${short(this.desk.loop?.now.theta)} on.`;
+    const text = `The controller moves θ again, from ${knobs(this.desk.loop?.now.theta)} on.`;
     if (await confirm("Resume", text)) await this.call("resume", "hold", { data: false });
   }
 
   private async reset(): Promise<void> {
-    const [low, high] = this.desk.limits[0] ?? [NaN, NaN];
-    const initial = clamp(this.number("theta_initial"), low, high);
-    const limit = this.number("rate_limit");
+    const { limits } = this.desk;
+    const initial = this.desk
+      .each("theta_initial")
+      .map((value, i) => clamp(value, ...(limits[i] ?? [NaN, NaN])));
+    const rate = this.desk.each("rate_limit");
     const text =
-      `θ goes from ${short(this.desk.loop?.now.theta)} to ` +
-      `${Number.isNaN(initial) ? "its initial value" : short(initial)}, ` +
-      `${limit > 0 ? `at most ${short(limit)} per second` : "at once"}. ` +
+      `θ goes from ${knobs(this.desk.loop?.now.theta)} to ` +
+      `${initial.length ? knobs(initial) : "its initial value"}, ` +
+      `${rate.some((value) => value > 0) ? `at most ${knobs(rate)} per second` : "at once"}. ` +
       "Filter and relay start again.";
     if (await confirm("Reset", text)) await this.call("reset", "reset", {});
   }
@@ -149,7 +147,10 @@ export class Operator {
       `The limits of ${desk.loop?.knobs[knob]} become [${short(low)}, ${short(high)}].`,
     ];
     const values: Record<string, number> = { theta_min: low, theta_max: high };
-    const [theta, initial] = [desk.loop?.at[knob] ?? NaN, desk.each("theta_initial")[knob] ?? NaN];
+    const [theta, initial] = [
+      desk.loop?.now.theta[knob] ?? NaN,
+      desk.each("theta_initial")[knob] ?? NaN,
+    ];
     const isOutside = (v: number): boolean => low < high && (v < low || v > high);
     const inside = (v: number): number => clamp(v, low, high);
     if (isOutside(theta)) {

@@ -286,7 +286,7 @@ export class Page {
       read: this.read,
       about,
       rows,
-      limits: this.limits.length === 1 ? this.limits[0] : undefined,
+      limits: this.limits,
       loop: loop?.now,
       rate: loop?.rate(time) ?? 0,
     });

@@ -102,7 +102,7 @@ const seeking = {
   commanded: false,
   settling: false,
   saturated: false,
-  theta: -2.5,
+  theta: [-2.5],
   r: 0.01,
 };
 const healthy: Situation = {
@@ -112,7 +112,7 @@ const healthy: Situation = {
   read: undefined,
   about: "",
   rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
-  limits: [-5, 5],
+  limits: [[-5, 5]],
   rate: 200,
   loop: seeking,
 };
@@ -122,6 +122,15 @@ test("the verdict names what comes first", () => {
     level: "ok",
     text: "Healthy, seeking: θ = −2.5 in [−5, 5], r = 0.01, 200 steps per second.",
   });
+  const two = { ...seeking, theta: [-2.5, 1] };
+  const [first, second]: [number, number][] = [
+    [-5, 5],
+    [0, 2],
+  ];
+  assert.match(
+    verdict({ ...healthy, limits: [first, second], loop: two }).text,
+    /: θ = \(−2.5 in \[−5, 5\], 1 in \[0, 2\]\), r/,
+  );
   const stale = {
     ...healthy,
     rows: [
