@@ -83,7 +83,8 @@ def kernel_run(loop: TimedLoop) -> Run:
 
     def once() -> NDArray[np.float64]:
         memory = LoopMemory(cost.initial(), loop.esc.initial())
-        run_kernel(loop.plant.params(), parameters, memory, work, *start, *buffers)
+        plant, first = loop.plant.params(), memory.relay.output
+        run_kernel(plant, None, parameters, None, first, memory, work, *start, *buffers)
         return buffers[-1]
 
     return once

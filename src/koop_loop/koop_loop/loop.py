@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from koopman_lifter.cost import Workspace
 from koopman_lifter.model import KoopmanModel
 from relay_esc import directions, relay
 from relay_esc.config import EscConfig
-from relay_esc.directions import DirectionState, Knobs
+from relay_esc.directions import Knobs
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantKnobs, PlantParams
@@ -72,7 +73,10 @@ class LoopResult:
 @njit()
 def run_kernel(
     plant: PlantParams,
+    plant_knobs: PlantKnobs | None,
     controller: Controller,
+    knobs: Knobs | None,
+    first: float | None,
     memory: LoopMemory,
     work: Workspace,
     x: float,
@@ -82,16 +86,23 @@ def run_kernel(
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
 ) -> int:
-    """Run the loop for ``theta.size`` steps and fill the four arrays; return the steps done.
+    """Run the loop for M steps and fill the four arrays; return the steps done.
 
-    Fewer than asked for are done only if the plant's state stops being finite.
+    Fewer than asked for are done only if the plant's state stops being finite. ``first`` is the
+    theta of one knob, ``plant_knobs`` and ``knobs`` are of several; what is None the compiler
+    leaves out.
     """
     states = borrowed(measured)
     source, lifting, detector_params, relay_params = controller
     lifting, work = cost.borrow(lifting, work)
-    detector, relay_state = memory
-    applied = relay_state.output
-    for k in range(theta.shape[0]):
+    detector = memory.detector
+    command: Any = memory.relay
+    applied: Any
+    if first is not None:
+        applied = first
+    if knobs is not None:
+        applied = command.theta.copy()
+    for k in range(r.shape[0]):
         if not (math.isfinite(x) and math.isfinite(y)):
             return k
         state = states[k]
@@ -101,49 +112,19 @@ def run_kernel(
         r[k], _, settling, detector = cost.answer(
             source, lifting, detector_params, detector, arrival, k, state, work
         )
-        relay_state, _, _ = relay.answer(
-            relay_params, relay_state, arrival, False, settling, r[k], False
-        )
-        theta[k] = relay_state.output
-        x, y, applied = dynamics.advance(plant, k, x, y, applied, theta[k])
-    return len(theta)
-
-
-@njit()
-def run_knobs(
-    plant: PlantParams,
-    plant_knobs: PlantKnobs,
-    controller: Controller,
-    knobs: Knobs,
-    state: DirectionState,
-    work: Workspace,
-    x: float,
-    y: float,
-    measured: NDArray[np.float64],
-    ground_truth: NDArray[np.float64],
-    r: NDArray[np.float64],
-    theta: NDArray[np.float64],
-) -> int:
-    """Run the loop with several knobs as :func:`run_kernel` does with one; theta is (M, n)."""
-    states = borrowed(measured)
-    source, lifting, detector_params, relay_params = controller
-    lifting, work = cost.borrow(lifting, work)
-    detector, applied = cost.initial(), state.theta.copy()
-    for k in range(r.shape[0]):
-        if not (math.isfinite(x) and math.isfinite(y)):
-            return k
-        arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
-        measured[k, 0], measured[k, 1] = dynamics.measure(plant, k, x, y)
-        ground_truth[k, 0], ground_truth[k, 1] = x, y
-        r[k], _, settling, detector = cost.answer(
-            source, lifting, detector_params, detector, arrival, k, states[k], work
-        )
-        state, _, _ = directions.answer(
-            relay_params, knobs, state, arrival, False, settling, r[k], False
-        )
-        for i in range(state.theta.size):  # assigning arrays takes seconds to compile
-            theta[k, i] = state.theta[i]
-        x, y = dynamics.advance_knobs(plant, plant_knobs, k, x, y, applied, state.theta)
+        if first is not None:
+            command, _, _ = relay.answer(
+                relay_params, command, arrival, False, settling, r[k], False
+            )
+            theta[k] = command.output
+            x, y, applied = dynamics.advance(plant, k, x, y, applied, theta[k])
+        if knobs is not None:
+            command, _, _ = directions.answer(
+                relay_params, knobs, command, arrival, False, settling, r[k], False
+            )
+            for i in range(command.theta.size):  # assigning arrays takes seconds to compile
+                theta[k, i] = command.theta[i]
+            x, y = dynamics.advance_knobs(plant, plant_knobs, k, x, y, applied, command.theta)
     return len(r)
 
 
@@ -192,14 +173,15 @@ def simulate(
     r, theta = np.empty(steps), np.empty(steps if esc.count == 1 else (steps, esc.count))
     parameters, signals = controller(lifter, esc, model), (measured, ground_truth, r, theta)
     work = cost.workspace(parameters.lifting)
-    if esc.count == 1:
-        memory = LoopMemory(cost.initial(), esc.initial())
-        done = run_kernel(plant.params(), parameters, memory, work, x, y, *signals)
-    else:
-        done = run_knobs(
-            plant.params(), plant.knob_params(), parameters, esc.knob_limits(plant.dt),
-            esc.initial_directions(), work, x, y, *signals,
-        )  # fmt: skip
+    several = esc.count > 1
+    plant_knobs = plant.knob_params() if several else None
+    knobs = esc.knob_limits(plant.dt) if several else None
+    begin = esc.initial_directions() if several else esc.initial()
+    memory = LoopMemory(cost.initial(), begin)
+    first = None if several else memory.relay.output
+    done = run_kernel(
+        plant.params(), plant_knobs, parameters, knobs, first, memory, work, x, y, *signals
+    )
     if done < steps:
         raise LoopDiverged(f"the plant diverged at t = {done * plant.dt:g} s: use a smaller dt")
     return LoopResult(plant.dt, measured, ground_truth, r, theta)
