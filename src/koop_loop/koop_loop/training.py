@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, parameter
 from koop_core.kernels import njit
-from koopman_lifter.contrast import TrajectoryMoments, with_contrast
+from koopman_lifter.contrast import Moments, settled_moments, with_contrast
 from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
@@ -80,9 +80,9 @@ def simulated_gram(
     plant: PlantConfig,
     config: TrainingConfig,
     delays: Delays = PLAIN,
-    moments: TrajectoryMoments | None = None,
+    contrast: list[Moments] | None = None,
 ) -> tuple[Gram, int]:
-    """Simulate the training trajectories and sum them up, also in ``moments`` where given.
+    """Simulate the training trajectories and sum them up; ``contrast`` receives moments of each.
 
     Returns
     -------
@@ -98,8 +98,8 @@ def simulated_gram(
             dropped += 1
         else:
             gram.add_trajectory(delays.embed(states))
-            if moments is not None:
-                moments.add(states)
+            if contrast is not None:
+                contrast.append(settled_moments(states, delays))
     return gram, dropped
 
 
@@ -116,7 +116,7 @@ def train(
     koop_core.errors.InputError
         If the surviving trajectories cannot determine the model.
     """
-    moments = TrajectoryMoments(delays) if contrast else None
+    moments: list[Moments] | None = [] if contrast else None
     gram, dropped = simulated_gram(plant, config, delays, moments)
     provenance: dict[str, Any] = {
         "source": "simulation",
@@ -126,4 +126,6 @@ def train(
         **({"variant": "contrast"} if contrast else {}),
     }
     model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance, delays)
-    return with_contrast(model, *moments.result()) if moments is not None else model
+    if moments is None:
+        return model
+    return with_contrast(model, *map(np.concatenate, zip(*moments, strict=True)))

@@ -25,6 +25,8 @@ from koopman_lifter.delays import Delays
 from koopman_lifter.model import KoopmanModel
 from koopman_lifter.settings import LEARNING
 
+Moments = tuple[NDArray[np.float64], NDArray[np.float64]]  # covariances, means
+
 
 def with_contrast(
     model: KoopmanModel,
@@ -39,7 +41,7 @@ def with_contrast(
     model : KoopmanModel
         Model of an n-dimensional state.
     covariances : ndarray, shape (T, n, n)
-        Covariances of the state over each of T windows of the data, at least 2.
+        Covariances of the state over each of T windows of the data.
     means : ndarray, shape (T, n)
         Means of the state over the same windows.
     theta : ndarray, shape (T,), optional
@@ -48,9 +50,11 @@ def with_contrast(
     Raises
     ------
     koop_core.errors.InputError
-        If a state, or a combination of states, never moves.
+        If there are fewer than two windows, or a state, or a combination of states, never moves.
     """
     n = model.observables.n
+    if len(covariances) < 2:
+        raise InputError("the contrast needs weak and strong oscillation: two trajectories")
     if model.delays.count > 1:  # samples of a smooth signal nearly depend on each other
         usual = np.trace(covariances.mean(axis=0)) / n
         covariances = covariances + LEARNING.ridge * usual * np.eye(n)
@@ -153,7 +157,7 @@ def _f_ratio(groups: list[NDArray[np.float64]]) -> float:
 
 def moments(
     x: NDArray[np.float64], starts: NDArray[np.int64], length: int, delays: Delays
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> Moments:
     """Return covariance and mean of the embedded state over windows of a recording.
 
     Parameters
@@ -180,34 +184,7 @@ def moments(
     return np.array(covariances), np.array(means)
 
 
-class TrajectoryMoments:
-    """Covariance and mean of the state over trajectories at one theta each.
-
-    Parameters
-    ----------
-    delays : Delays
-        What the state is.
-    """
-
-    def __init__(self, delays: Delays) -> None:
-        self._delays = delays
-        self._parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
-
-    def add(self, states: NDArray[np.float64]) -> None:
-        """Take the settled part of a trajectory, shape (channels, M)."""
-        begin = round(LEARNING.transient * states.shape[1])
-        settled = states[:, begin:]
-        self._parts.append(moments(settled, np.zeros(1, np.int64), settled.shape[1], self._delays))
-
-    def result(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return covariances, shape (T, n, n), and means, shape (T, n).
-
-        Raises
-        ------
-        koop_core.errors.InputError
-            If there are fewer than two trajectories.
-        """
-        if len(self._parts) < 2:
-            raise InputError("the contrast needs weak and strong oscillation: two trajectories")
-        covariances, means = zip(*self._parts, strict=True)
-        return np.concatenate(covariances), np.concatenate(means)
+def settled_moments(states: NDArray[np.float64], delays: Delays) -> Moments:
+    """Return :func:`moments` of the settled part of a trajectory, shape (channels, M)."""
+    settled = states[:, round(LEARNING.transient * states.shape[1]) :]
+    return moments(settled, np.zeros(1, np.int64), settled.shape[1], delays)
