@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config import objects
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError, Settings, mapping, parameter, refuse_unknown
 from koop_core.config.yaml_file import read_yaml
@@ -167,8 +168,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     settings = {key: value for key, value in top.items() if key in setting_names}
     if settings.get("model"):
         settings["model"] = str((folder / str(settings["model"])).resolve())
-    limits = mapping(top.get("limits", {}), "limits")
-    refuse_unknown(limits, [item.name for item in fields(Limits)], "key", "limits")
+    limits = objects.parse(Limits, top.get("limits", {}), "limits")
     sections = mapping(top.get("parameters", {}), "parameters")
     by_node = {str(node): mapping(values, str(node)) for node, values in sections.items()}
     parameters.build({node: by_node[node] for node in CONTROLLER if node in by_node})
@@ -192,7 +192,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         setting,
         by_node,
         happens,
-        Limits(**limits),
+        limits,
         {str(node): level for node, level in levels.items()},
     )
     if scenario.sensor_topic and scenario.injects:

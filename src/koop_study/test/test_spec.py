@@ -62,7 +62,7 @@ def test_an_ablation_is_checked_before_anything_runs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"esc.command": "/a:b"}, r"esc\.command: a study has no topics"),
+        ({"lifter.measured": "/a:b"}, r"lifter\.measured: a study has no topics"),
         ({"lifter.cost": "raw"}, r"lifter\.cost: the study's own setting 'cost'"),
     ],
 )

@@ -35,12 +35,12 @@ def register(commands: Any) -> None:
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
     since = parse_span(args.since) if args.since else None
-    from koop_lab.history.page import write_page, write_sentences
+    from koop_lab.history.page import make_page, write_sentences
     from koop_lab.history.read import read_history
 
     histories = read_history(args.runs, since)
     path = args.runs[0] / NAME
-    write_page(path, histories)
+    path.write_text(make_page(histories), encoding="utf-8")
     for history in histories:
         print("\n".join(write_sentences(history)))
     print(f"written to {path}")

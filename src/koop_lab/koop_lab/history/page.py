@@ -6,7 +6,6 @@ import html
 import math
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
-from pathlib import Path
 
 import numpy as np
 
@@ -200,8 +199,3 @@ def _count(number: int, noun: str) -> str:
 
 def _at(time: float, form: str) -> str:
     return f"{datetime.fromtimestamp(time, timezone.utc):{form}}"
-
-
-def write_page(path: Path, histories: Sequence[History]) -> None:
-    """Write the page."""
-    path.write_text(make_page(histories), encoding="utf-8")

@@ -52,7 +52,6 @@ class Case:
 NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
     "lifter.cost": "the study's own setting 'cost' takes its place",
     "lifter.measured": "a study has no topics",
-    "esc.command": "a study has no topics",
 }
 DRAWN = (  # what `seeded` draws
     "plant.seed", "plant.interference_phase_1", "plant.interference_phase_2", "training.seed",
