@@ -10,6 +10,7 @@ from browser import browse
 from recorded_rig import excited, file_of, loaded_of, rig_of, write_bag
 
 from koop_commission.report import write_report
+from koop_core.whole_file import write_json
 from koop_lab.cli.main import main
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Windows
@@ -19,7 +20,7 @@ from koop_tune.result import tune_result
 from koop_tune.rig import rig_file
 from koop_tune.rig_model.dwells import find_holds
 from koop_tune.search.agreement import Measured
-from koop_tune.search.rounds import LoopRun, Round, Verification, save_verification
+from koop_tune.search.rounds import LoopRun, Round, Verification
 
 QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
          "optimum": (0.3, 0.7), "channels": (2, 2), "noise_driven": 0.0}  # fmt: skip
@@ -62,7 +63,7 @@ def verification(folder, rig, file):
     predicted = tune_result.read(folder / "tuned").controller.predicted
     only = Round(1, predicted, tuple(runs), True, True, "damped as predicted")
     verdict = "From 2 starts. It converged. The rig is damped."
-    save_verification(Verification((only,), True, "x[0]", verdict), folder)
+    write_json(folder / "verify.json", Verification((only,), True, "x[0]", verdict))
 
 
 @pytest.fixture(scope="module")

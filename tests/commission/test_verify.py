@@ -39,7 +39,7 @@ from koop_tune.result.tune_result import (
 from koop_tune.rig import rig_file
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Band, Prediction
-from koop_tune.search.rounds import LoopRun, Round, Verification, save_verification
+from koop_tune.search.rounds import LoopRun, Round, Verification
 from koop_tune.search.run import Constants
 
 pytestmark = pytest.mark.ros
@@ -208,7 +208,7 @@ def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
         Round(i, PREDICTION, (run_of(1.1), run_of(worst)), i == 3, False, "worse")
         for i, worst in enumerate((3.0, 1.8, 2.0), 1)
     )
-    save_verification(Verification(rounds), tuned)
+    whole_file.write_json(tuned / "verify.json", Verification(rounds))
     for old in ("tuned-1", "tuned-2"):
         (tuned / old).mkdir()
         for name in ("tune.json", "controller.yaml"):

@@ -18,13 +18,13 @@ from koop_core.errors import LiveError
 from koop_guard.note import note_of
 from koop_tune.excitation import progress
 from koop_tune.excitation.design import FLAT, KNOWN
-from koop_tune.folder import CONTROLLER, TUNED
+from koop_tune.folder import CONTROLLER, RIG, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.rounds import Round, find_slowdown, kept_index, load_verification
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 
-NAME, RIG = "commission.json", "rig.yaml"
+NAME = "commission.json"
 RECORDINGS = Path("recordings")
 
 

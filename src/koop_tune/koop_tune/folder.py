@@ -8,6 +8,7 @@ from koop_core.config.parameter import ConfigError
 
 TUNED = "tuned"  # subfolder of an excitation's folder
 CONTROLLER, MODEL, FIGURES = "controller.yaml", "model.npz", "tune.json"
+RIG = "rig.yaml"  # copy of the rig file, beside ``TUNED``
 
 
 def find_controller(path: Path) -> tuple[Path, str]:

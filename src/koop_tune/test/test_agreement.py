@@ -9,6 +9,7 @@ import pytest
 from surrogate_rigs import make_amplitude
 
 from koop_core.config.parameter import ConfigError
+from koop_core.whole_file import write_json
 from koop_tune.excitation.static_map import Interval
 from koop_tune.result import tune_result
 from koop_tune.result.tune_result import AmplitudeMap, ControllerResult, Points, TuneResult
@@ -29,7 +30,6 @@ from koop_tune.search.rounds import (
     find_slowdown,
     kept_index,
     load_verification,
-    save_verification,
 )
 from koop_tune.search.run import Constants
 from koop_tune.search.settings import VerificationSettings
@@ -347,7 +347,7 @@ def test_a_verification_is_kept_in_its_folder(tmp_path):
     never = replace(PREDICTION, converges=Band(30.0, 40.0, math.inf))
     rounds[0] = replace(rounds[0], prediction=never)
     kept = Verification(tuple(rounds), True, "x", "It is damped.")
-    save_verification(kept, tmp_path)
+    write_json(tmp_path / "verify.json", kept)
     assert "Infinity" not in (tmp_path / "verify.json").read_text()  # which is no JSON
     read = load_verification(tmp_path)
     assert read == kept

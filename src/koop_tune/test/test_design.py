@@ -81,9 +81,13 @@ class Simulated:
 
 
 def excite(rig, file=RIG, holds=(), settings=DESIGN, most=None):
-    """Excite a rig as `koop excite` does."""
-    design = Design(file, holds, settings=settings)
-    heard = rig.stay(round(settings.shortest / DT))
+    """Excite a rig with one knob."""
+    return run(Design(file, holds, settings=settings), rig, most)
+
+
+def run(design, rig, most=None):
+    """Excite a rig as `koop excite` does; return the design and its moves."""
+    heard = rig.stay(round(DESIGN.shortest / DT))
     while design.listens(heard):
         heard = np.concatenate([heard, rig.stay(100)])
     design.look(heard)
@@ -95,7 +99,7 @@ def excite(rig, file=RIG, holds=(), settings=DESIGN, most=None):
                 rig.go(u)
         design.arrive(move, rig.seconds)
         while not design.take(rig.stay(design.windows.length)):
-            assert rig.seconds < 2.0 * file.time
+            assert rig.seconds < 2.0 * design.rig.time
     return design, moves
 
 

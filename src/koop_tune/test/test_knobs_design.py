@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_design import DT, RIG, Simulated
+from test_design import DT, RIG, Simulated, run
 
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
@@ -54,28 +54,10 @@ class SimulatedKnobs(Simulated):
         return Loaded(np.ascontiguousarray(x.T), number == 0, theta, number * DT)
 
 
-def excite(rig, file=KNOBS):
-    design = KnobsDesign(file)
-    heard = rig.stay(round(DESIGN.shortest / DT))
-    while design.listens(heard):
-        heard = np.concatenate([heard, rig.stay(100)])
-    design.look(heard)
-    moves = []
-    while (move := design.next()) is not None:
-        moves.append(move)
-        for u in (move.via, move.u):
-            if u is not None:
-                rig.go(u)
-        design.arrive(move, rig.seconds)
-        while not design.take(rig.stay(design.windows.length)):
-            assert rig.seconds < file.time
-    return design, moves
-
-
 @pytest.fixture(scope="module")
 def coupled():
     rig = SimulatedKnobs(diagonal)
-    return rig, *excite(rig)
+    return rig, *run(KnobsDesign(KNOBS), rig)
 
 
 def test_the_optimum_of_coupled_knobs_is_found_though_it_lies_on_no_line_through_the_start(coupled):
@@ -106,7 +88,7 @@ def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled)
         assert one.theta_min < limits[knob].low < best < limits[knob].high < one.theta_max
         aim = summarise(tuning).make_aim(KNOBS).knobs[knob]
         assert aim.valley[0] <= limits[knob].low <= aim.theta <= limits[knob].high <= aim.valley[1]
-    assert tuning.useless == []
+    assert list(tuning.sections) == [0, 1]
     steps = np.array(tuning.esc.step_size) / [limit.high - limit.low for limit in limits]
     assert steps[0] == pytest.approx(steps[1], rel=0.01)  # three digits
     assert tuning.esc.theta_min == tuple(limit.low for limit in limits)
@@ -117,7 +99,7 @@ def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled)
 
 
 def test_a_knob_without_effect_is_left_at_its_start():
-    design, moves = excite(SimulatedKnobs(lambda u: 3.0 * (u[1] - 0.4) ** 2))
+    design, moves = run(KnobsDesign(KNOBS), SimulatedKnobs(lambda u: 3.0 * (u[1] - 0.4) ** 2))
     assert design.ended == KNOWN
     assert list(design.sections) == [1]
     assert design.base[0] == pytest.approx(START[0])
@@ -126,7 +108,7 @@ def test_a_knob_without_effect_is_left_at_its_start():
 
 
 def test_where_no_knob_has_an_effect_that_is_said():
-    design, _ = excite(SimulatedKnobs(lambda u: 0.0))
+    design, _ = run(KnobsDesign(KNOBS), SimulatedKnobs(lambda u: 0.0))
     assert design.ended == FLAT
 
 

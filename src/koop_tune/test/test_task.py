@@ -13,7 +13,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Rest
 from koop_tune.rig_model.surrogate import Times
 from koop_tune.search.settings import TuningSettings
-from koop_tune.search.task import Recorded, block_rms, cut_segments, draw_surrogates, make_task
+from koop_tune.search.task import block_rms, cut_segments, draw_surrogates, make_task
 
 RIG = RigFile("/a:x", "/b:z", DT, 0.0, 1.0, 0.5, 0.5, 0.5)
 TIMES = Times(math.log(2.0), 0.0, 0.0, 0.0)
@@ -49,9 +49,10 @@ def test_blocks_keep_the_power_of_a_signal():
 
 def test_the_first_rig_is_as_it_was_measured_and_the_others_differ_as_its_errors_say():
     findings = make_findings(valley, error=0.2)
-    recorded = Recorded(np.zeros(18), np.arange(10) * 2, np.arange(10), DT)
+    recorded = np.zeros(18), np.arange(10) * 2, np.arange(10)
     settings = TuningSettings(surrogates=200, seed=1)
-    drawn = draw_surrogates(findings, make_map(valley, 0.2), recorded, TIMES, settings)
+    given = findings, make_map(valley, 0.2), recorded, TIMES, settings, DT
+    drawn = draw_surrogates(*given)
     first, *others = drawn
     assert len(drawn) == 200
     assert first.times == TIMES
@@ -61,7 +62,7 @@ def test_the_first_rig_is_as_it_was_measured_and_the_others_differ_as_its_errors
     assert abs(np.mean(shifts)) < 0.1
     ends = [s.levels[0] - first.levels[0] for s in others]
     assert 0.05 < np.std(ends) < 0.4  # smoothed between points that scatter by 0.2
-    again = draw_surrogates(findings, make_map(valley, 0.2), recorded, TIMES, settings)
+    again = draw_surrogates(*given)
     assert [s.times.usual for s in again] == [s.times.usual for s in drawn]
 
 

@@ -8,7 +8,6 @@ import pytest
 from surrogate_rigs import FREQUENCY, make_cost, make_findings, make_map, make_task
 
 from koop_core.config.objects import to_json
-from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import write_json
 from koop_guard.config import GUARD, GuardConfig
 from koop_loop import parameters
@@ -16,7 +15,6 @@ from koop_tune.result import as_text, tune_result
 from koop_tune.result.summary import summarise, summarise_refusal
 from koop_tune.result.tune_result import TuneResult
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.surrogate import Times
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.limits import ThetaLimits
 from koop_tune.search.prediction import predict
@@ -94,12 +92,7 @@ def test_a_rig_counts_as_slower_only_as_far_as_a_run_takes_no_longer_than_its_ti
     run = settings.search.length * slowdown * 10.0
     assert run == pytest.approx(settings.longest * 2000.0)
     assert limit_slowdown(10.0, 2000.0, TuningSettings(slowdown=2.0)) == 2.0
-
-
-@pytest.mark.parametrize("change", [{"effort": 0.0}, {"slowdown": 0.5}, {"runs": 2}])
-def test_settings_out_of_their_range_are_refused(change):
-    with pytest.raises(ConfigError, match=next(iter(change))):
-        TuningSettings(**change)
+    assert limit_slowdown(100.0, 2000.0, settings) == 1.0  # as it is
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +105,7 @@ def tuning():
     chosen = SearchedCost(maps, trials, task)
     observed = make_findings(valley, [maps, make_cost("lifted", None)])
     prediction = predict(task, trials[0], observed, 1, 16)
-    times = Times(math.log(2.0), 0.0, 0.0, 0.0)
-    return Tuning(observed, [chosen], chosen, trials[0], times, 123.456, *prediction, "it is good")
+    return Tuning(observed, [chosen], chosen, trials[0], 123.456, *prediction, "it is good")
 
 
 def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tuning, tmp_path):

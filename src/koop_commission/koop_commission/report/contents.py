@@ -15,14 +15,12 @@ from koop_identify.model.from_bags import load_bags
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation import progress
 from koop_tune.excitation.progress import ExcitationProgress
-from koop_tune.folder import TUNED
+from koop_tune.folder import RIG, TUNED
 from koop_tune.result import tune_result
 from koop_tune.result.tune_result import Points, TuneResult
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.rounds import Round, Verification, load_verification
 from koop_tune.tune_folders import list_bags, reading_of
-
-RIG = "rig.yaml"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from koop_commission.stages.closed_loop import ClosedLoop
 from koop_commission.stages.session import refuse_small_disk, resumable, spell_time
 from koop_core.config.knobs import format_knobs
 from koop_core.text_table import table
+from koop_core.whole_file import write_json
 from koop_guard.note import note_of
 from koop_tune.excitation import progress
 from koop_tune.excitation.bowl import fit_bowl
@@ -25,11 +26,11 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import Aim, find_disagreements, find_faults, spell, verdict
 from koop_tune.search.prediction import Band
 from koop_tune.search.rounds import (
+    VERIFIED,
     Round,
     Verification,
     find_longer,
     load_verification,
-    save_verification,
 )
 
 
@@ -108,7 +109,7 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     )
     for start in left:
         current = replace(current, runs=(*current.runs, loop.record(start)))
-        save_verification(Verification((*rounds, current)), folder)
+        write_json(folder / VERIFIED, Verification((*rounds, current)))
     worse = [text for run in current.runs for text in find_disagreements(aim, run.measured)]
     faults = find_faults(aim, [run.measured for run in current.runs])
     summary = "; ".join(faults or worse) or "damped as predicted"
@@ -159,7 +160,7 @@ def _conclude(rounds: tuple[Round, ...], index: int, aim: Aim, folder: Path) -> 
     starts = [run.start for run in rounds[index].runs]
     text = verdict(aim, runs, starts, len(rounds), str(folder))
     verification = Verification(rounds, not find_faults(aim, runs), aim.name, text)
-    save_verification(verification, folder)
+    write_json(folder / VERIFIED, verification)
     return verification
 
 

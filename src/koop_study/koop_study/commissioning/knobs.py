@@ -78,6 +78,6 @@ def commission_knobs(
         runs.append((before, close(begin, controller, noise, seed, rig)))
     faults = find_faults(aim, [measure(aim, before, run.x, run.theta) for before, run in runs])
     return {
-        **row, "verdict": "tuned", "useless": tuning.useless, "faults": faults,
+        **row, "verdict": "tuned", "faults": faults,
         "damped": not faults, "ratio": [run.ratio for _, run in runs],
     }  # fmt: skip

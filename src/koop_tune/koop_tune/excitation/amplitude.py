@@ -128,13 +128,8 @@ class Mode(NamedTuple):
 
     def describe(self, channels: Sequence[str]) -> str:
         """Return it in words."""
-        span = (
-            f"{self.low:.3g} to {self.high:.3g} Hz"
-            if self.high > self.low
-            else f"{self.low:.3g} Hz"
-        )
         share = f"{100.0 * self.least:.2g} to {100.0 * self.most:.2g} %"
-        return f"{channels[self.channel]} at {span}: {share}"
+        return f"{channels[self.channel]} at {_spell_band(self.low, self.high)}: {share}"
 
 
 @dataclass(frozen=True)
@@ -217,13 +212,16 @@ class Amplitude:
         parts: dict[str, list[str]] = {}
         for channel, first, last in self.ranges:
             low, high = edges[first] / seconds, (edges[last + 1] - 1) / seconds
-            text = f"{low:.3g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
-            parts.setdefault(channels[channel], []).append(text)
+            parts.setdefault(channels[channel], []).append(_spell_band(low, high))
         named: dict[str, list[str]] = {}  # channels that react alike are named together
         for channel_name, texts in parts.items():
             more = [f"{len(texts) - 3} more bands"] if len(texts) > 3 else []
             named.setdefault(", ".join([*texts[:3], *more]), []).append(channel_name)
         return " and ".join(f"{' and '.join(names)} at {text}" for text, names in named.items())
+
+
+def _spell_band(low: float, high: float) -> str:
+    return f"{low:.3g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
 
 
 def choose_amplitude(

@@ -59,9 +59,9 @@ class Bowl:
         return np.asarray(0.5 * np.logaddexp(self.floor, np.log((way**2).sum(axis=1) + 1e-300)))
 
 
-def fit_bowl(u: Array, y: Array, error: Array, settings: BowlSettings = BOWL) -> Bowl:
+def fit_bowl(u: Array, y: Array, error: Array) -> Bowl:
     """Fit a bowl to log amplitudes y, shape (M,), at positions u, shape (M, n); u* is inside."""
-    s, n = settings, u.shape[1]
+    s, n = BOWL, u.shape[1]
     upper, rng = np.triu_indices(n), np.random.default_rng(u.shape[0])
     centre, size = u[np.argmin(y)], np.exp(y.max())
     sigma = np.hypot(error, s.error)

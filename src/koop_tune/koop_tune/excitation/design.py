@@ -569,11 +569,6 @@ class Design:
                 return
 
     @property
-    def held(self) -> int:
-        """How many windows this hold has."""
-        return self._hold.size // self.windows.length
-
-    @property
     def left(self) -> int:
         """How many holds are to come at least."""
         return len(self._queue)

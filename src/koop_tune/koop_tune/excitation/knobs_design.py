@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import Settings, judged
 from koop_tune.excitation.amplitude import Amplitude, Windows
 from koop_tune.excitation.bowl import Bowl, fit_bowl
-from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, Design, DesignSettings, Move
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, Design, Move
 from koop_tune.excitation.holds import Hold, Level, usual_wander
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
@@ -77,10 +77,6 @@ class KnobsDesign:
     ----------
     rig : RigFile
         The rig.
-    settings : KnobsSettings
-        Thresholds.
-    of_section : DesignSettings
-        Those of a section.
     recorded : sequence of RecordedHold
         What an interrupted one recorded: theta need not go there again.
 
@@ -98,20 +94,13 @@ class KnobsDesign:
         The best position so far.
     """
 
-    def __init__(
-        self,
-        rig: RigFile,
-        settings: KnobsSettings = KNOBS,
-        of_section: DesignSettings = DESIGN,
-        recorded: Sequence[RecordedHold] = (),
-    ) -> None:
+    def __init__(self, rig: RigFile, recorded: Sequence[RecordedHold] = ()) -> None:
         self.rig, self.ended = rig, ""
         self.sections: dict[int, list[Hold]] = {}
         self.lines: dict[int, Array] = {}
         self.base = self._start = rig.u(rig.each("theta_start"))
         self._useful = list(range(rig.count))
-        of_section = replace(of_section, gap=settings.gap) if rig.count > 1 else of_section
-        self._settings, self._of_section = settings, of_section
+        self._of_section = replace(DESIGN, gap=KNOBS.gap) if rig.count > 1 else DESIGN
         self._recorded, self._arrivals = list(recorded), 0
         self._done: list[tuple[Hold, Array]] = []
         self._section, self._through = 0, self.base
@@ -230,7 +219,7 @@ class KnobsDesign:
                 place = self._beside({a: way[a], b: side * way[b]})
                 yield from self._hold_at(place, "how two knobs are coupled")
         self.sections, self.lines = {}, {}
-        for _ in range(self._settings.cycles):
+        for _ in range(KNOBS.cycles):
             yield from self._descend()
             for knob in self._useful:
                 width = self._half_width(knob)
@@ -250,7 +239,7 @@ class KnobsDesign:
         self._through = self.base
         held, self._done = self.held, []
         for hold, u in held:
-            if np.abs(u - self.base)[others].max() > self._settings.same:
+            if np.abs(u - self.base)[others].max() > KNOBS.same:
                 self._done.append((hold, u))
                 continue
             on.append(copy(hold))
@@ -314,12 +303,11 @@ class KnobsDesign:
 
     def _width(self, knob: int) -> float:
         """Return half the width of a knob's section where it is away times its best."""
-        s = self._settings
-        return min(max(0.5 * self.section(knob).valley(s.away).width, s.least), s.most)
+        return min(max(0.5 * self.section(knob).valley(KNOBS.away).width, KNOBS.least), KNOBS.most)
 
     def _half_width(self, knob: int) -> float:
         """Return how far from the base, along a knob, the bowl is away times that there."""
-        s, bowl, base = self._settings, self._bowl(), self.base[self._useful]
+        s, bowl, base = KNOBS, self._bowl(), self.base[self._useful]
         widths = np.linspace(s.least, s.most, 28)
         way = np.eye(base.size)[self._useful.index(knob)]
         y = np.minimum(*(bowl.log(base + side * widths[:, None] * way) for side in (-1.0, 1.0)))
@@ -338,10 +326,10 @@ class KnobsDesign:
         place[self._useful] = bowl.best
         gain = float(y.min()) - float(bowl.log(bowl.best[None])[0])
         near = float(np.abs(u - place).max(axis=1).min())
-        return place if gain > self._settings.gain and near > self._settings.same else None
+        return place if gain > KNOBS.gain and near > KNOBS.same else None
 
     def _descend(self) -> Iterator[KnobsMove]:
-        for _ in range(self._settings.steps * len(self._useful)):
+        for _ in range(KNOBS.steps * len(self._useful)):
             if (place := self._least_of_bowl()) is None:
                 return
             yield from self._hold_at(place, "the least of the bowl that fits all holds")

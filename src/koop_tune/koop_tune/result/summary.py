@@ -82,7 +82,7 @@ def _summarise_map(findings: Findings, knob: int = 0) -> AmplitudeMap:
         ),
         maps.motion,
         findings.period,
-        findings.growth,
+        findings.dwells.growth,
         _list_points(scale, maps, 1.0),
         Points(*(values[::EVERY].tolist() for values in curve)),
         knob,

@@ -239,9 +239,7 @@ def find_dwells(loaded: Loaded, scale: Scale, amplitude: Amplitude, sense: float
     return Dwells(u, rests, amplitude, [logs for _, logs in found], growth)
 
 
-def find_holds(
-    loaded: Loaded, scale: Scale, length: int, settings: DwellSettings = DWELLS
-) -> list[Hold]:
+def find_holds(loaded: Loaded, scale: Scale, length: int) -> list[Hold]:
     """Return the rests of a recording as the holds of an excitation.
 
     Raises
@@ -249,7 +247,7 @@ def find_holds(
     koop_core.errors.InputError
         If theta was held at too few values.
     """
-    u, rests = leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
+    u, rests = leave_out_short(*find_rests(loaded, scale, length), DWELLS.part)
     before = [float(u[rests[0].level]), *(float(u[rest.level]) for rest in rests)]
     return [
         Hold(float(u[r.level]), int(np.sign(u[r.level] - b)), loaded.x[:, r.begin : r.end].T)

@@ -103,8 +103,6 @@ class Findings:
         Limits of the controller's theta.
     modes : list of Mode
         What the amplitude sums, with the share that each has over theta.
-    growth : float
-        Longest time that the oscillation was seen to need to grow to a level [s].
     doubt : str
         What is not sure about the optimum, in words; empty if it is.
     safe : SafeRange or None
@@ -122,7 +120,6 @@ class Findings:
     costs: list[CostMaps]
     limits: ThetaLimits
     modes: list[Mode]
-    growth: float = 0.0
     doubt: str = ""
     safe: SafeRange | None = None
     speed: float = 0.0
@@ -173,7 +170,7 @@ def analyse(
     findings = Findings(
         scale, dwells, static_map, period, amplitude.name(rig.names), rig.names, candidates,
         limit_theta(static_map, rig, settings, safe), amplitude.modes(powers),
-        dwells.growth, safe=safe,
+        safe=safe,
         speed=static_map.motion / max(float(np.ptp(dwells.middles)) * dt, dt),
     )  # fmt: skip
     return decide(findings, rig, settings)

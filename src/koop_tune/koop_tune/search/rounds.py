@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from koop_core.whole_file import read_object, write_json
+from koop_core.whole_file import read_object
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
@@ -154,14 +154,3 @@ def load_verification(folder: Path) -> Verification:
         If it cannot be used.
     """
     return read_object(folder / VERIFIED, Verification) or Verification()
-
-
-def save_verification(verification: Verification, folder: Path) -> None:
-    """Write verify.json; it is whole at any time.
-
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If the disk is full.
-    """
-    write_json(folder / VERIFIED, verification)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,15 +15,6 @@ from koop_tune.search.run import Task
 from koop_tune.search.settings import TuningSettings
 
 
-class Recorded(NamedTuple):
-    """Pieces of a signal in a row: see :class:`koop_tune.rig_model.surrogate.Surrogate`."""
-
-    y: NDArray[np.float64]
-    begins: NDArray[np.int64]
-    first: NDArray[np.int64]
-    dt: float
-
-
 def make_task(
     loaded: Loaded, findings: Findings, cost: CostMaps, times: Times, time: float, rig: RigFile,
     settings: TuningSettings,
@@ -35,12 +24,12 @@ def make_task(
     assert y_out is not None
     every = max(1, int(time / (settings.blocks * rig.dt)))
     parts, first = cut_segments(y_out, findings.dwells)
-    y, begins = np.concatenate(parts), np.cumsum([0, *(part.size for part in parts)])
-    recorded = Recorded(y, begins, first, rig.dt)
+    begins = np.cumsum([0, *(part.size for part in parts)])
+    recorded = np.concatenate(parts), begins, first
     fine: dict[float, list[Surrogate]] = {}
     coarse: dict[float, list[Surrogate]] = {}
     for omega_h, static_map in cost.usable.items():
-        fine[omega_h] = draw_surrogates(findings, static_map, recorded, times, settings)
+        fine[omega_h] = draw_surrogates(findings, static_map, recorded, times, settings, rig.dt)
         filtered, _ = cut_segments(high_pass(y_out, loaded, omega_h, rig.dt), findings.dwells)
         blocks = [block_rms(part, every) for part in filtered]
         ends = np.cumsum([0, *(block.size for block in blocks)])
@@ -81,11 +70,15 @@ def block_rms(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
 def draw_surrogates(
     findings: Findings,
     static_map: StaticMap,
-    recorded: Recorded,
+    recorded: tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
     times: Times,
     settings: TuningSettings,
+    dt: float,
 ) -> list[Surrogate]:
-    """Return models of the rig; the first one is as it was measured."""
+    """Return models of the rig; the first one is as it was measured.
+
+    ``recorded`` is y, begins and first of a :class:`koop_tune.rig_model.surrogate.Surrogate`.
+    """
     rng = np.random.default_rng(settings.seed)
     normal = rng.standard_normal((settings.surrogates, GRID))
     normal[0] = 0.0
@@ -95,8 +88,7 @@ def draw_surrogates(
     return [
         Surrogate(
             level, amplitude, u, static_map.sense * static_map.predict(u)[0],
-            recorded.y, recorded.begins, recorded.first,
-            times._replace(usual=times.usual + float(shift)), recorded.dt, findings.scale.low,
+            *recorded, times._replace(usual=times.usual + float(shift)), dt, findings.scale.low,
             findings.scale.high, findings.scale.logarithmic, False,
         )
         for level, amplitude, shift in zip(levels, amplitudes, shifts, strict=True)

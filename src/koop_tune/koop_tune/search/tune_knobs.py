@@ -73,12 +73,6 @@ class KnobsTuning:
         return cls(rig, 0, tuning, {0: findings.static_map}, [findings.limits], esc)
 
     @property
-    def useless(self) -> list[str]:
-        """Names of the knobs that have no effect; they rest."""
-        names = enumerate(self.rig.knob_names)
-        return [name for k, name in names if k not in self.sections]
-
-    @property
     def prediction(self) -> Prediction:
         """Figures of the loop.
 
@@ -187,10 +181,10 @@ def _refuse_astray(
         )
 
 
-def _rest(rig: RigFile, settings: TuningSettings = TUNING) -> ThetaLimits:
+def _rest(rig: RigFile) -> ThetaLimits:
     """Return limits close around the start of a knob without effect."""
     scale, u = rig.scale, rig.u_start
-    low, high = (u + side * settings.least_room for side in (-1.0, 1.0))
+    low, high = (u + side * TUNING.least_room for side in (-1.0, 1.0))
     ends = scale.theta_at(max(low, 0.0)), scale.theta_at(min(high, 1.0))
     return ThetaLimits(*ends, "it has no effect", "it has no effect")
 

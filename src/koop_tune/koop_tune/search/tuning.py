@@ -15,7 +15,7 @@ from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.surrogate import Times, fit_times
+from koop_tune.rig_model.surrogate import fit_times
 from koop_tune.search.findings import CostMaps, Findings, NoOptimum, analyse
 from koop_tune.search.limits import limit_theta
 from koop_tune.search.prediction import Prediction, predict
@@ -74,8 +74,6 @@ class Tuning:
         The one that was chosen.
     best : Trial
         Its constants.
-    times : Times
-        How the amplitude follows theta.
     y_out_max : float
         Largest y_out that is to be believed.
     prediction : Prediction
@@ -90,7 +88,6 @@ class Tuning:
     searched: list[SearchedCost]
     chosen: SearchedCost
     best: Trial
-    times: Times
     y_out_max: float
     prediction: Prediction
     runs: list[Outcome]
@@ -173,9 +170,7 @@ def tune(
     largest = float(np.nanmax(chosen.maps.cost.y_out))
     prediction = predict(chosen.task, best, findings, settings.seed + 1, settings.runs)
     refuse_undamped(prediction[0], findings)
-    return Tuning(
-        findings, searched, chosen, best, times, settings.y_out_max * largest, *prediction, why
-    )
+    return Tuning(findings, searched, chosen, best, settings.y_out_max * largest, *prediction, why)
 
 
 def refuse_undamped(prediction: Prediction, findings: Findings) -> None:
@@ -238,14 +233,6 @@ def limit_slowdown(tau: float, time: float, settings: TuningSettings) -> float:
         The rig file's [s].
     settings : TuningSettings
         The slowdown that its loops show, and the length of a run.
-
-    Examples
-    --------
-    >>> limit_slowdown(10.0, 2000.0, TuningSettings(slowdown=16.0))  # the run takes 80 * 10 s then
-    5.0
-    >>> slow = TuningSettings(slowdown=4.0)
-    >>> limit_slowdown(10.0, 2000.0, slow), limit_slowdown(100.0, 2000.0, slow)
-    (4.0, 1.0)
     """
     longest = settings.longest * time / (settings.search.length * tau)
     return min(settings.slowdown, max(longest, 1.0))
