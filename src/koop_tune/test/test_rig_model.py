@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
-from surrogate_rigs import make_dwells
+from surrogate_rigs import DT, make_dwells, make_surrogate
 
 from koop_core.stream.arrival import Arrival
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.static_map import GRID, StaticMap
+from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Rest
 from koop_tune.rig_model.fluctuation import estimate_autocovariance, fit_fluctuation
 from koop_tune.rig_model.surrogate import (
     BLOCKS,
-    Surrogate,
     Times,
     _follow,
     fit_times,
@@ -26,8 +25,6 @@ from koop_tune.rig_model.surrogate import (
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
-
-DT = 0.02
 
 
 @pytest.mark.parametrize("tau", [2.0, 8.0])
@@ -117,21 +114,6 @@ def test_the_time_constant_is_found_in_how_the_windows_follow_theta():
         assert times.tau(float(np.mean(y)), up) == pytest.approx(tau, rel=0.25)
 
 
-def surrogate(level, tau=2.0, seed=0):
-    """Return a rig of 9 values; ``level`` gives L = A at positions."""
-    u, grid = np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, GRID)
-    t = np.arange(3000) * DT
-    phases = np.random.default_rng(seed).uniform(0.0, 2 * np.pi, 9)
-    y = [
-        math.exp(level(v)) * np.sin(2 * np.pi * 2.0 * t + p) for v, p in zip(u, phases, strict=True)
-    ]
-    return Surrogate(
-        np.asarray(level(grid)), np.asarray(level(grid)), u, np.asarray(level(u)),
-        np.concatenate(y), np.arange(10) * t.size, np.arange(10), Times(math.log(tau), 0, 0, 0),
-        DT, 0.0, 1.0, False, False,
-    )  # fmt: skip
-
-
 def closed(rig, esc, steps=20_000, drift=0.0, start=0.0):
     detector = LifterConfig(omega_h=10.0, omega_l=0.7, dt=DT).detector_params()
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
@@ -152,7 +134,7 @@ def test_the_amplitude_of_a_surrogate_is_that_of_its_map():
     def level(u):
         return 0.0 * u + 0.7
 
-    _, power = closed(surrogate(level), esc_config())
+    _, power = closed(make_surrogate(level), esc_config())
     assert power == pytest.approx(np.full(BLOCKS, math.exp(1.4)))
 
 
@@ -160,7 +142,7 @@ def test_the_loop_seeks_the_optimum_of_a_surrogate_and_follows_it_when_it_moves(
     def level(u):
         return 3.0 * np.abs(u - 0.6)
 
-    rig = surrogate(level)
+    rig = make_surrogate(level)
     u, power = closed(rig, esc_config())
     assert u[BLOCKS // 2 :].mean() == pytest.approx(0.6, abs=0.05)
     assert power[-1] < power[0] / 8.0
@@ -181,6 +163,6 @@ def test_a_rig_that_settled_elsewhere_comes_to_its_level_with_its_time_constant(
         return -2.0 * u
 
     still = esc_config(step_size=1e-12, theta_initial=1.0, rate_limit=1e-9)
-    _, power = closed(surrogate(level, tau=20.0), still, start=0.0)
+    _, power = closed(make_surrogate(level, tau=20.0), still, start=0.0)
     t = (np.arange(BLOCKS) + 0.5) * 20_000 * DT / BLOCKS
     assert 0.5 * np.log(power) == pytest.approx(-2.0 * (1.0 - np.exp(-t / 20.0)), abs=0.01)
