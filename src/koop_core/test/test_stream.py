@@ -165,9 +165,10 @@ def test_a_source_that_left_in_order_has_ended_and_one_that_was_lost_is_stale():
     for monitor in (left, lost):
         monitor.hear(20_000, 0.0, 10.0)
         assert list(monitor.findings(10.4, 1)) == []
-    assert list(left.findings(11.0, 0)) == [NodeFinding(OK, "'state' has ended at step 20000")]
-    # killed: discovery still counts it, for 20 s
-    assert [f.level for f in lost.findings(11.0, 1)] == [STALE]
+        assert [f.level for f in monitor.findings(12.0, 1)] == [STALE]  # slow to leave, or killed
+    assert list(left.findings(13.0, 0)) == [NodeFinding(OK, "'state' has ended at step 20000")]
+    # discovery still counts it, for 20 s
+    assert [f.level for f in lost.findings(29.0, 1)] == [STALE]
     assert [f.level for f in lost.findings(40.0, 0)] == [STALE]
     lost.hear(0, 0.0, 50.0)  # came back, and leaves in order
     assert next(lost.findings(51.0, 0)).level == OK

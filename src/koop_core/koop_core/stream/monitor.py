@@ -66,7 +66,7 @@ class StreamMonitor:
         self._stream = NOTHING
         self._reported: tuple[int, ...] = (0,) * 6
         self._meter = AgeMeter()
-        self._silent = False  # whether silence began while there was a source
+        self._silent = False  # whether its source was silent for long and still there
         self._paused = False
 
     @property
@@ -193,7 +193,7 @@ class StreamMonitor:
             if self._may_end and not (publishers and can_say_more) and not self._silent:
                 yield NodeFinding(OK, f"'{self.topic}' has ended at step {self.step}")
             else:  # a source that was lost stays so when discovery gives it up
-                self._silent = True
+                self._silent |= self.age(now) > STREAM.leaving
                 text = f"nothing on '{self.topic}' for {self.age(now):.1f} s"
                 yield NodeFinding(STALE, f"{text}, timeout {self.timeout:g} s")
         if restarts:

@@ -26,6 +26,10 @@ class StreamSettings(Settings):
     )
     gap: float = judged(1.0, "between two arrivals after which the periods begin again", unit="s",
                         low=0.0)  # fmt: skip
+    leaving: float = parameter(
+        10.0, "silence after which a source that leaves was lost before", unit="s", low=0.0,
+        origin="a node takes seconds to end on a busy machine; a killed one is counted for 20 s",
+    )  # fmt: skip
     settled: float = judged(
         5.0, "that a less urgent finding must last before it is news", unit="s", low=0.0
     )
