@@ -38,12 +38,14 @@ class Probe:
         self.executor: Any = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
 
-    def spin_until(self, condition: Callable[[], Any], what: str = "") -> Any:
+    def spin_until(
+        self, condition: Callable[[], Any], what: str = "", seconds: float = TIMEOUT
+    ) -> Any:
         """Spin until the condition is true; fail if it does not become so."""
-        deadline = time.monotonic() + TIMEOUT
+        deadline = time.monotonic() + seconds
         while not (result := condition()):
             if time.monotonic() > deadline:
-                pytest.fail(f"timed out after {TIMEOUT:g} s: {what or condition}")
+                pytest.fail(f"timed out after {seconds:g} s: {what or condition}")
             self.executor.spin_once(timeout_sec=0.05)
         return result
 
@@ -66,6 +68,27 @@ class Probe:
         answer = self.spin_until(Question(client, request).answer, f"an answer of {name}")
         self.node.destroy_client(client)
         return answer
+
+    def state_of(self, node: str) -> str:
+        """Return the state of a managed node."""
+        from lifecycle_msgs.srv import GetState
+
+        answer = self.call(GetState, f"{node}/get_state", GetState.Request())
+        return str(answer.current_state.label)
+
+    def change_state(self, node: str, transition: str) -> bool:
+        """Make a node ``configure``, ``activate``, ``deactivate`` or ``cleanup``, if it will.
+
+        What is asked again, for its answer got lost, is refused where it was done.
+        """
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        number = getattr(Transition, f"TRANSITION_{transition.upper()}")
+        request = ChangeState.Request(transition=Transition(id=number))
+        done = self.call(ChangeState, f"{node}/change_state", request).success
+        aims = {"activate": "active", "cleanup": "unconfigured"}
+        return done or self.state_of(node) == aims.get(transition, "inactive")
 
     def __enter__(self) -> Probe:
         return self

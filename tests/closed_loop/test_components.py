@@ -2,6 +2,7 @@
 
 import time
 from importlib.metadata import entry_points
+from itertools import groupby
 
 import pytest
 from koop_msgs.msg import ControlInput
@@ -64,10 +65,11 @@ def test_a_container_runs_the_whole_loop_in_one_process(container, tmp_path):
         executor.spin_once(timeout_sec=0.1)
         assert time.monotonic() < deadline, [node.lifecycle_state for node in loop]
     assert plant.exit_code == 0
-    while len(thetas) < 200:  # the plant may have heard the last one first
+    while not thetas or thetas[-1].step < 199:  # the plant may have heard the last one first
         executor.spin_once(timeout_sec=0.1)
         assert time.monotonic() < deadline
-    assert [message.step for message in thetas] == list(range(200))
+    # a busy machine asks again
+    assert [step for step, _ in groupby(m.step for m in thetas)] == list(range(200))
     assert [node.get_fully_qualified_name() for node in loop] == [
         "/box/recordernode", "/box/escnode", "/box/lifternode", "/box/plantnode"
     ]  # fmt: skip

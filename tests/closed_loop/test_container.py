@@ -14,11 +14,6 @@ pytestmark = pytest.mark.ros
 LOOP = ("relay_esc::EscNode", "koopman_lifter::LifterNode")
 
 
-def change(probe, node, transition):
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return probe.call(ChangeState, f"{node}/change_state", request).success
-
-
 def test_nodes_of_a_container_keep_names_parameters_and_lifecycle_and_end_together(start, probe):
     file = start.folder / "loop.yaml"
     file.write_text(
@@ -37,7 +32,10 @@ def test_nodes_of_a_container_keep_names_parameters_and_lifecycle_and_end_togeth
     states.publish(MeasuredState(step=0, x=[3.0, 4.0]))
     probe.spin_until(lambda: costs, "a cost")
     assert costs[0].y_out == pytest.approx((25 / 2) ** 0.5)
-    assert change(probe, "/relay_esc", Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    shutdown = probe.node.create_client(ChangeState, "/relay_esc/change_state")
+    probe.spin_until(shutdown.service_is_ready, "the service")
+    number = Transition.TRANSITION_ACTIVE_SHUTDOWN  # after which it may not come to an answer
+    shutdown.call_async(ChangeState.Request(transition=Transition(id=number)))
     assert container.process.wait(60.0) == 1
     assert "[relay_esc]: has ended: the other nodes end with it" in container.log.read_text()
 

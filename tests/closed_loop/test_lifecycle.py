@@ -4,28 +4,9 @@ import itertools
 
 from diagnostic_msgs.msg import DiagnosticArray
 from koop_msgs.msg import ControlInput, Cost, MeasuredState
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from std_srvs.srv import SetBool
 
 from koopman_lifter.config import shipped_model
-
-CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP = (
-    Transition.TRANSITION_CONFIGURE,
-    Transition.TRANSITION_ACTIVATE,
-    Transition.TRANSITION_DEACTIVATE,
-    Transition.TRANSITION_CLEANUP,
-)
-
-
-def change(probe, node, *transitions):
-    """Ask for transitions; return whether all succeeded."""
-    requests = [ChangeState.Request(transition=Transition(id=number)) for number in transitions]
-    return all([probe.call(ChangeState, f"/{node}/change_state", r).success for r in requests])
-
-
-def state_of(probe, node):
-    return probe.call(GetState, f"/{node}/get_state", GetState.Request()).current_state.label
 
 
 def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, probe):
@@ -38,7 +19,7 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
     start("koopman_lifter")
     start("relay_esc", step_size=0.0, theta_initial=1.0)
     start("relay_esc", "-r", "__node:=second", autostart="false", step_size=0.0, theta_initial=2.0)
-    assert change(probe, "second", CONFIGURE)
+    assert probe.change_state("/second", "configure")
     publishers = set()
 
     def from_now_on(theta, count=100):
@@ -59,13 +40,13 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
     from_now_on(1.0)  # held is not silent
     assert all(message.holding for message in thetas[-100:])
 
-    for active, standby, theta in (("relay_esc", "second", 2.0), ("second", "relay_esc", 1.0)):
-        assert change(probe, active, DEACTIVATE)
-        assert state_of(probe, active) == "inactive"
+    for active, standby, theta in (("/relay_esc", "/second", 2.0), ("/second", "/relay_esc", 1.0)):
+        assert probe.change_state(active, "deactivate")
+        assert probe.state_of(active) == "inactive"
         begin, silence = len(thetas), len(reports)
         probe.spin_until(lambda n=silence: len(reports) > n + 3, "a second of reports")
         assert {m.theta[0] for m in thetas[begin:]} <= set()
-        assert change(probe, standby, ACTIVATE)
+        assert probe.change_state(standby, "activate")
         probe.spin_until(lambda n=begin: len(thetas) > n, f"{standby} to take over")
         from_now_on(theta)
     assert publishers == {1}
@@ -78,18 +59,20 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
 def test_a_configure_that_fails_leaves_nothing_and_the_next_one_works(start, probe, tmp_path):
     missing = tmp_path / "model.npz"
     start("koopman_lifter", autostart="false", model=missing)
-    assert not change(probe, "koopman_lifter", CONFIGURE)
-    assert state_of(probe, "koopman_lifter") == "unconfigured"
+    assert not probe.change_state("/koopman_lifter", "configure")
+    assert probe.state_of("/koopman_lifter") == "unconfigured"
     missing.write_bytes(shipped_model().read_bytes())
     for _ in range(2):  # and again after a clean-up
-        assert change(probe, "koopman_lifter", CONFIGURE, ACTIVATE)
-        assert state_of(probe, "koopman_lifter") == "active"
+        assert probe.change_state("/koopman_lifter", "configure")
+        assert probe.change_state("/koopman_lifter", "activate")
+        assert probe.state_of("/koopman_lifter") == "active"
         costs = probe.collect(Cost, "cost")
         states = probe.publisher(MeasuredState, "state")
         states.publish(MeasuredState(step=0, x=[1.0, 2.0]))
         probe.spin_until(lambda costs=costs: costs, "the cost")
         assert probe.node.count_publishers("cost") == 1
-        assert change(probe, "koopman_lifter", DEACTIVATE, CLEANUP)
-        assert state_of(probe, "koopman_lifter") == "unconfigured"
+        assert probe.change_state("/koopman_lifter", "deactivate")
+        assert probe.change_state("/koopman_lifter", "cleanup")
+        assert probe.state_of("/koopman_lifter") == "unconfigured"
         probe.spin_until(lambda: not probe.node.count_publishers("cost"), "the cost to go")
         probe.node.destroy_publisher(states)

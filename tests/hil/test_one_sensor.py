@@ -58,21 +58,21 @@ def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
     sensor = probe.publisher(Float64, "/pressure")
     params, steps = PLANT.params(), round(120.0 / DT)
     x, y = dynamics.initial_state(3)
-    due = [0.0]
-
-    def begun():  # best effort: a sample is lost while the lifter does not know of the sensor yet
-        if time.monotonic() > due[-1]:
-            due.append(time.monotonic() + 1.0)
-            sensor.publish(Float64(data=dynamics.measure(params, 0, x, y)[0]))
-        return turned
-
-    probe.spin_until(begun, "the first answer")
     theta = np.full(steps, -1.0)
     applied = -1.0
     for k in range(steps):  # the rig waits for the knob: the machine may be as slow as it likes
-        heard = len(turned)
-        sensor.publish(Float64(data=dynamics.measure(params, k, x, y)[0]))
-        probe.spin_until(lambda n=heard: len(turned) > n, f"an answer to sample {k}")
+        heard, due = len(turned), 0.0
+
+        def answered():
+            # best effort: a sample is lost while the lifter does not know of the sensor yet, and
+            # one that a busy machine delays is too old
+            nonlocal due
+            if time.monotonic() > due:
+                due = time.monotonic() + 1.0
+                sensor.publish(Float64(data=dynamics.measure(params, k, x, y)[0]))  # noqa: B023
+            return len(turned) > heard  # noqa: B023
+
+        probe.spin_until(answered, f"an answer to sample {k}")
         (theta[k],) = turned[-1].theta
         x, y, applied = dynamics.advance(params, k, x, y, applied, theta[k])
     error = np.abs(theta[-round(WATCHED / DT) :] - PLANT.theta_star)

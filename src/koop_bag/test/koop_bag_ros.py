@@ -24,7 +24,7 @@ from koop_node.client.question import Question
 from koop_node.node.managed import message_type
 
 Self = TypeVar("Self", bound="Program")
-PATIENCE = 30.0  # [s] for what should take far less
+PATIENCE = 60.0  # [s] for what should take far less
 
 
 def wait_until(condition: Callable[[], Any], what: str) -> Any:

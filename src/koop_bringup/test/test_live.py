@@ -65,7 +65,7 @@ def test_a_node_that_is_stopped_before_it_has_started_ends_as_any_other(tmp_path
     """Python itself would print a traceback, and end with exit code 1 or -2."""
     node = NodeProcess("relay_esc", [], tmp_path / "node.log")
     time.sleep(delay)  # of its start, which shows nothing that could be waited for
-    assert node.stop() == 0
+    assert node.stop(timeout=60.0) == 0
     assert node.last_lines() == ""
 
 

@@ -87,7 +87,7 @@ def spinning(kind, name):
 
 def test_a_transition_that_takes_long_is_asked_for_once_and_an_impossible_one_is_told(capfd):
     with spinning(Slow, "slow"), Client("client") as client:
-        client.change_state("/slow", "configure", 10.0)
+        client.change_state("/slow", "configure", 60.0)
         client.change_state("/slow", "activate")
         assert capfd.readouterr().err == ""  # where a second request would be refused
         with pytest.raises(LiveError, match="active and cannot configure"):

@@ -23,12 +23,12 @@ def start(*words, **options):
 @pytest.mark.parametrize("code", [0, 3])
 def test_it_ends_with_the_exit_code_of_the_program(code):
     with start("sh", "-c", f"exit {code}") as process:
-        assert process.wait(20.0) == code
+        assert process.wait(60.0) == code
 
 
 def test_a_program_that_is_killed_is_a_failure():
     with start("sh", "-c", "kill -KILL $$") as process:
-        assert process.wait(20.0) == 128 + signal.SIGKILL
+        assert process.wait(60.0) == 128 + signal.SIGKILL
 
 
 def test_there_is_no_such_program():
@@ -43,7 +43,7 @@ def test_who_is_asked_to_end_ends_with_its_children_which_is_no_failure(number):
         process.send_signal(number)
         # the pipe has an end when nobody is left who could write to it
         assert process.stdout.read() == ""
-        assert process.wait(20.0) == 0
+        assert process.wait(60.0) == 0
 
 
 def test_it_ends_with_whoever_started_it():
@@ -51,7 +51,7 @@ def test_it_ends_with_whoever_started_it():
         assert process.stdout.readline() == "started\n"
         process.stdin.close()
         assert process.stdout.read() == ""
-        assert process.wait(20.0) == 0
+        assert process.wait(60.0) == 0
 
 
 def test_a_program_that_knows_the_lifeline_does_not_take_its_own_stdin_for_one():
@@ -59,4 +59,4 @@ def test_a_program_that_knows_the_lifeline_does_not_take_its_own_stdin_for_one()
         "from koop_node.process.lifeline import *; import time; end_with_parent(); time.sleep(0.3)"
     )
     with start(sys.executable, "-c", code, env={**os.environ, **TIED}) as process:
-        assert process.wait(20.0) == 0
+        assert process.wait(60.0) == 0
