@@ -70,6 +70,7 @@ def story(module_start, tmp_path_factory, reference):
     observed.refused = without_token(observed.port, observed.token)
     receive(observed, 30)  # theta moves
     observed.answer = hold(observed.port, observed.token, True)
+    receive(observed, 100)  # theta is held
     hold(observed.port, observed.token, False)
     observed.heard = reference
     if callable(reference):
