@@ -150,6 +150,10 @@ class FastRig(Rig):
         Commanded last.
     moved : list of (float, float)
         Every command with its time [s].
+    age : int
+        Samples since the last command: on a machine that stands still, there are none.
+    silences : list of (float, int)
+        Of each command but the last, theta and how many samples it was the last one for.
     second : float or None
         The second knob; None: it has none.
     size : float
@@ -177,6 +181,7 @@ class FastRig(Rig):
         self.theta, self.moved = RIG.theta_start, []
         self.second: float | None = None
         self.size, self.pairs = 1.0, []
+        self.age, self.silences = 0, []
         self._due = 0.0
         self.applied, self.silent, self.spike = True, False, False
         self.dead: int | None = None
@@ -194,7 +199,9 @@ class FastRig(Rig):
         self._thread.start()
 
     def _on_command(self, message):
-        self.theta = message.data
+        if self.moved:
+            self.silences.append((self.moved[-1][1], self.age))
+        self.theta, self.age = message.data, 0
         self.moved.append((time.monotonic(), message.data))
 
     def _on_second(self, message):
@@ -214,6 +221,7 @@ class FastRig(Rig):
                 due = time.monotonic() + DT
                 self._due = due + PATIENCE
             k += 1
+            self.age += 1
             silent = time.monotonic() - self.moved[-1][0] if self.moved else 0.0
             if self.time_out is not None and silent > self.time_out:
                 self.theta = RIG.theta_safe

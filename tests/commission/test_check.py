@@ -5,17 +5,15 @@ import random
 import re
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commission_rig import RIG
 from std_msgs.msg import Float64, Float64MultiArray
-from test_excite import wait
+from test_excite import TIMEOUT, wait
 
 from koop_commission.fitness.fitness import BAD
 from koop_commission.fitness.settings import CheckSettings
@@ -31,23 +29,26 @@ def rows_of(rig, moves=True, ask=lambda question: False, **settings):
         rows = list(check_rig(rig, moves, rng=random.Random(0), settings=settings, ask=ask))
         assert len({str(row).count("\n") for row in rows}) == 1  # a line each
         bad = [row.name for row in rows if row.level == BAD]
-        if not moves or bad != ["arrival"]:  # else a busy machine: the rig was not on time
+        # else a busy machine: the rig was not on time, or silent
+        if not moves or bad not in (["arrival"], ["theta"]):
             break
     return {row.name: row for row in rows}, bad
 
 
 def silences_of(rig):
-    """Return for how long nobody commanded theta at each theta, if for two seconds or longer."""
+    """Return for how long nobody commanded theta, if for two seconds, by theta but theta_safe."""
     return {
         round(theta, 3): later - earlier
-        for (earlier, theta), (later, _) in pairwise(rig.moved)
-        if later - earlier > 2.0
+        for (earlier, theta), (later, _), (_, samples) in zip(
+            rig.moved, rig.moved[1:], rig.silences, strict=False
+        )
+        if samples * RIG.dt > 2.0 and theta != RIG.theta_safe
     }
 
 
 def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig, capfd):
     rows, bad = rows_of(RIG)
-    (said,) = capfd.readouterr().out.splitlines()
+    *_, said = capfd.readouterr().out.splitlines()
     assert re.match(r" {6}moving theta between 1\.5 and 0\.75, at most \d+ s; Ctrl-C ends it", said)
     assert bad == [], [rows[name].text for name in bad]
     # on a busy machine a late one is taken for a lost one now and then
@@ -78,8 +79,8 @@ def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, t
 
     silence = 6.0 if time_out is None else 12.0  # [s]
     rows, _ = rows_of(RIG, ask=ask, silence=silence)
-    assert len(asked) == 1, rows  # not asked where anything is BAD
-    assert f"up to {silence:g} s without a guard" in asked[0]
+    assert asked, rows  # not asked where anything is BAD
+    assert f"up to {silence:g} s without a guard" in asked[-1]
     text = rows["time-out"].text
     ((theta, silent),) = silences_of(fast_rig).items()
     assert abs(theta - RIG.theta_safe) == pytest.approx(0.25 * RIG.span)
@@ -104,11 +105,20 @@ def test_theta_returns_though_the_test_of_the_time_out_is_killed(fast_rig, tmp_p
     )
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "PYTHONPATH": path}
-    with (tmp_path / "log").open("wb") as log:
-        check = subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=log)
+
+    def start():
+        with (tmp_path / "log").open("ab") as log:
+            return subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=log)
+
+    def silent():
+        nonlocal check
+        if check.poll() is not None:  # the rig was silent, on a busy machine
+            check = start()
+        return fast_rig.theta != RIG.theta_safe and fast_rig.age * RIG.dt > 3.0
+
+    check = start()
     try:
-        wait(lambda: fast_rig.moved and time.monotonic() - fast_rig.moved[-1][0] > 3.0, "silence")
-        assert fast_rig.theta != RIG.theta_safe
+        wait(lambda: fast_rig.moved and silent(), "silence", seconds=2.0 * TIMEOUT)
     finally:
         check.kill()
         check.wait()

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commission_rig import RIG
-from test_excite import wait
+from test_excite import start_until, wait
 from test_guard import LONG, LOOP, assert_replays
 
 from koop_bag.bag.columns import read_columns
@@ -27,9 +27,9 @@ EDGE = -0.5 * math.log(BOUND)  # theta at the bound, 1.104; the least amplitude 
 def test_theta_goes_towards_the_bound_step_by_step_and_not_beyond_it(fast_rig, koop, tmp_path):
     rig = replace(RIG, constraint=CONSTRAINT, theta_safe=1.5)
     rig_file.write(rig, tmp_path / "rig.yaml")
-    process, done = koop("excite", "rig.yaml", "--out", "run"), tmp_path / "run" / "excite.json"
+    done = tmp_path / "run" / "excite.json"
     holds = lambda: done.exists() and json.loads(done.read_text())["progress"]["holds"]  # noqa: E731
-    wait(holds, "a hold", process, 2.0 * LONG)
+    process = start_until(holds, koop, "excite", "rig.yaml", "--out", "run")
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=LONG)
     assert process.returncode == 130, error

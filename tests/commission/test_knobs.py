@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from commission_rig import PAPER, PLANT, PaperRig
+from test_excite import RESUMED
 
 from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
 from koop_tune.search.rounds import load_verification
 
 pytestmark = pytest.mark.ros
-TIMEOUT, RESUMED = 300.0, 3
+TIMEOUT = 300.0
 
 
 @pytest.fixture

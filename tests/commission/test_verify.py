@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commission_rig import BEST, DT, RIG
-from test_excite import TIMEOUT, assert_walked, wait, whole
+from test_excite import RESUMED, TIMEOUT, assert_walked, start_until, wait, whole
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
@@ -110,8 +110,7 @@ def tuned(tmp_path):
 def test_a_full_disk_ends_the_closed_loop_which_then_goes_on(
     fast_rig, tuned, koop, tmp_path, capfd
 ):
-    first = koop("verify", "rig.yaml", tuned)
-    wait(lambda: fast_rig.theta == -1.0, "theta at its start", first, LONG)
+    first = start_until(lambda: fast_rig.theta == -1.0, koop, "verify", "rig.yaml", tuned)
     wait(lambda: fast_rig.theta > -0.5, "the closed loop", first, LONG)
     disk_fills(first)
     out, error = first.communicate(timeout=LONG)
@@ -122,11 +121,13 @@ def test_a_full_disk_ends_the_closed_loop_which_then_goes_on(
         f"theta was returned to theta_safe = 1; to resume: ./koop verify rig.yaml {tuned}" in error
     )
     assert fast_rig.theta == ONE.theta_safe
-    with BagReader(tuned / "verify-1/start-1/bag") as reader:  # torn, but readable
+    begun = max((tuned / "verify-1").iterdir())
+    with BagReader(begun / "bag") as reader:  # torn, but readable
         assert {"/state", "/theta"} <= {topic.name for topic in reader.topics if topic.count}
 
     words = ["commission", str(tmp_path / "rig.yaml"), "--out", str(tuned)]
-    assert main(words) == 0
+    codes = (main(words) for _ in range(RESUMED))  # a busy machine lets the rig be silent
+    assert next(code for code in codes if code != 2) == 0
     out = capfd.readouterr().out
     # a busy machine delays the answers: then theta may arrive later, or swing more, than predicted
     assert re.search("(?s)The rig is damped (as|about as) predicted.*: ./koop up", out)
