@@ -4,7 +4,7 @@ A rig with one knob has one section. With several, the search is that of one kno
 that shows the optimum best. The others follow from their limits: in units of the way between its
 limits each section rises alike, to the same factor of the best at both of them, so all knobs cross
 that way in the same time. The controller seeks along one direction after another
-(:mod:`relay_esc.directions`), so it takes as many times as long.
+(:mod:`relay_esc.directions`), so all takes longer: see :attr:`KnobsTuning.prediction`.
 """
 
 from __future__ import annotations
@@ -76,15 +76,17 @@ class KnobsTuning:
     def prediction(self) -> Prediction:
         """Figures of the loop.
 
-        One direction after another is sought along: all takes as many times as long, and what each
-        adds to the amplitude adds up. What the other knobs reduce is not predicted.
+        One direction after another is sought along, each twice as long as one knob alone, for the
+        first that it finds are not yet the valley's (paper's plant, median IAE of one knob 255, of
+        two 989, of four 1953: 2 n times). What each adds to the amplitude adds up. What the other
+        knobs reduce is not predicted.
         """
         p, n = self.tuning.prediction, len(self.sections)
         if self.rig.count == 1:
             return p
         return Prediction(
-            _scaled(p.converges, n), p.distance, _power(p.excess, n), Band(0.0, 1.0, math.inf),
-            n * p.duration, p.runs,
+            _scaled(p.converges, 2 * n if n > 1 else 1), p.distance, _power(p.excess, n),
+            Band(0.0, 1.0, math.inf), n * p.duration, p.runs,
         )  # fmt: skip
 
 
