@@ -55,7 +55,9 @@ def test_an_object_is_read_as_it_was_written():
         ({"pairs": 1}, "pairs: expected a list, got 1"),
         ({"steps": [1]}, "steps: expected 2 values, got 1"),
         ({"values": ["x"]}, r"values\[0\]: expected float, got 'x'"),
+        ({"values": [10**400]}, r"values\[0\]: the number is too large"),
         ({"array": [[1.0], [1.0, 2.0]]}, "array: expected numbers"),
+        ({"array": [10**400]}, "array: expected numbers"),
         ({"maybe": [1.0, 2.0]}, "maybe must be a mapping"),
     ],
 )

@@ -106,7 +106,10 @@ def convert(hint: Any, value: Any, where: str) -> Any:
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
     if hint is float and (type(value) is int or value in ("inf", "-inf")):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise ConfigError(f"{where}: the number is too large") from None
     if type(value) is not hint:
         raise ConfigError(f"{where}: expected {hint.__name__}, got {value!r}")
     return value
@@ -115,5 +118,5 @@ def convert(hint: Any, value: Any, where: str) -> Any:
 def _as_array(value: Any, where: str) -> Any:
     try:
         return np.array(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ConfigError(f"{where}: expected numbers, got {value!r:.60}") from None
