@@ -87,7 +87,7 @@ def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, t
     assert fast_rig.theta == RIG.theta_safe
     assert fast_rig.moved[-1][1] == RIG.theta_safe
     if time_out is None:
-        assert silence < silent < silence + 12.0  # a busy machine is late to end it
+        assert silence - 1.0 < silent < silence + 12.0  # heard late, and late to end
         assert re.search(r"as at theta = \S+: no time-out, or a longer one", text)
     else:
         seconds = float(re.search(r"within (\S+) s without a command the rig oscillates", text)[1])
