@@ -20,7 +20,7 @@ export function shortName(name: string): string {
 }
 
 /** Theta of each knob, with its limits where they are known. */
-export function knobs(
+export function formatKnobs(
   theta: readonly number[] = [],
   limits: readonly [number, number][] = [],
 ): string {

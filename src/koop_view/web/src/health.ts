@@ -1,6 +1,6 @@
 // Is the loop healthy? Judged from what arrived and when, said in words. Pure: time is an argument.
 
-import { knobs, short, shortName } from "./format";
+import { formatKnobs, short, shortName } from "./format";
 
 export type Level = "ok" | "warn" | "stale" | "error" | "off";
 
@@ -139,7 +139,7 @@ export interface Situation {
 /** One line: is my loop healthy? */
 export function verdict(s: Situation): Judgement {
   const { loop } = s;
-  const last = `θ = ${knobs(loop?.theta)}, r = ${short(loop?.r)}.`;
+  const last = `θ = ${formatKnobs(loop?.theta)}, r = ${short(loop?.r)}.`;
   if (s.connection === "connecting") return { level: "off", text: "Connecting to koop serve…" };
   if (s.connection === "lost") {
     const text =
@@ -191,7 +191,7 @@ function describeRun(
   last: string,
 ): Judgement {
   const steps = Number.isFinite(rate) ? `, ${Math.round(rate)} steps per second` : "";
-  const figures = `θ = ${knobs(loop.theta, limits)}, r = ${short(loop.r)}${steps}.`;
+  const figures = `θ = ${formatKnobs(loop.theta, limits)}, r = ${short(loop.r)}${steps}.`;
   if (loop.commanded && rate !== 0) {
     const text = `Open loop: θ is commanded, not sought: ${figures}${warning}`;
     return { level: warning ? "warn" : "ok", text };

@@ -1,7 +1,7 @@
 // What the operator does to the loop: requested, confirmed where it moves the rig, answered.
 
 import { byId, make, onClick, setOptions, setText } from "./dom";
-import { clock, knobs, short } from "./format";
+import { clock, formatKnobs, short } from "./format";
 import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
 
@@ -120,7 +120,7 @@ export class Operator {
   }
 
   private async resume(): Promise<void> {
-    const text = `The controller moves θ again, from ${knobs(this.desk.loop?.now.theta)} on.`;
+    const text = `The controller moves θ again, from ${formatKnobs(this.desk.loop?.now.theta)} on.`;
     if (await confirm("Resume", text)) await this.call("resume", "hold", { data: false });
   }
 
@@ -131,9 +131,9 @@ export class Operator {
       .map((value, i) => clamp(value, ...(limits[i] ?? [NaN, NaN])));
     const rate = this.desk.each("rate_limit");
     const text =
-      `θ goes from ${knobs(this.desk.loop?.now.theta)} to ` +
-      `${initial.length ? knobs(initial) : "its initial value"}, ` +
-      `${rate.some((value) => value > 0) ? `at most ${knobs(rate)} per second` : "at once"}. ` +
+      `θ goes from ${formatKnobs(this.desk.loop?.now.theta)} to ` +
+      `${initial.length ? formatKnobs(initial) : "its initial value"}, ` +
+      `${rate.some((value) => value > 0) ? `at most ${formatKnobs(rate)} per second` : "at once"}. ` +
       "Filter and relay start again.";
     if (await confirm("Reset", text)) await this.call("reset", "reset", {});
   }

@@ -123,12 +123,9 @@ test("the verdict names what comes first", () => {
     text: "Healthy, seeking: θ = −2.5 in [−5, 5], r = 0.01, 200 steps per second.",
   });
   const two = { ...seeking, theta: [-2.5, 1] };
-  const [first, second]: [number, number][] = [
-    [-5, 5],
-    [0, 2],
-  ];
+  const limits: Situation["limits"] = [...healthy.limits, [0, 2]];
   assert.match(
-    verdict({ ...healthy, limits: [first, second], loop: two }).text,
+    verdict({ ...healthy, limits, loop: two }).text,
     /: θ = \(−2.5 in \[−5, 5\], 1 in \[0, 2\]\), r/,
   );
   const stale = {
