@@ -59,12 +59,13 @@ ADAPTIVE = LIMITED | {
 }
 
 
-KNOBS = {  # two on a log scale, coupled, with a rate each; limits are met, directions change
+KNOBS = {  # two on a log scale, coupled, with a rate each; limits and a line between them are met
     "koopman_lifter": {"cost": "raw"},
     "relay_esc": {
         "law": "adaptive", "theta_scale": "log", "dwell": 0.2, "tau_f": 0.2,
         "step_size": [0.01, 0.02], "theta_min": [0.3, 0.9], "theta_max": 2.5,
         "theta_initial": [2.0, 1.0], "rate_limit": [1.5, 5.0],
+        "constraint": "theta[0] <= 2.1 theta[1]",
     },
     "vdp_plant": {
         "theta_star": [0.5, 1.5], "theta_initial": [2.0, 1.0], "coupling": [0.8, 0.6, -0.3, 0.4],
@@ -127,6 +128,7 @@ def test_two_knobs_over_dds_offline_and_in_replay_are_equal_to_the_last_bit(
         np.testing.assert_array_equal(getattr(run, name), getattr(offline, name), name)
     assert run.theta.shape == (2000, 2)
     assert run.theta[:, 1].min() == 0.9  # at its limit
+    assert 2.1 - 1e-6 < (run.theta[:, 0] / run.theta[:, 1]).max() <= 2.1  # and at the line
     assert (np.ptp(run.theta, axis=0) > 0.3).all()  # the controller did act
     changes = np.abs(np.diff(np.log(run.theta), axis=0))
     assert (changes.max(axis=0) <= np.array([1.5, 5.0]) * 0.005 * (1.0 + 1e-9)).all()

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from koop_core.config.constraint import Constraint, parse_constraint
+from koop_core.config.constraint import Constraint, Line, parse_constraint, parse_lines
 from koop_core.config.fields import Source, parse_source, parse_sources
-from koop_core.config.knobs import MOST, KnobSettings
+from koop_core.config.knobs import MOST, KnobSettings, format_knobs
 from koop_core.config.parameter import ConfigError, NodeConfig, Settings, judged, parameter
 
 THETA, ASKED = "theta", "theta_asked"
+ROUNDED = 1e-12  # share of a line's terms that rounding may add to them
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,8 @@ class RigLimits(KnobSettings):
         "",
         "bound on a second signal that theta must keep, rms(/rig/effort:data, 10 s) < 1.5 or "
         "peak(...) over a window of so many seconds; theta returns to theta_safe where it is not "
-        "kept for three windows; empty: none",
+        "kept for three windows; and lines between knobs, kp <= 20 kd or kp + 2 kd <= 3, which "
+        "are always kept; several are separated by ';'; empty: none",
         read_only=True,
     )
     pace: float = parameter(
@@ -101,6 +103,13 @@ class RigLimits(KnobSettings):
         self._check_knobs()
         self.check_counts("channel_min", "channel_max")
         parse_constraint(self.constraint)
+        for name in ("theta_safe", "theta_start"):
+            for line in self.lines:
+                if line.excess(self.each(name)) >= 0.0:
+                    raise ConfigError(
+                        f"{name} = {format_knobs(self.each(name))}: must lie within {line.text}, "
+                        "a constraint, and not at it"
+                    )
         for low, high in zip(self.channel_min, self.channel_max, strict=False):
             if low >= high:
                 raise ConfigError(
@@ -166,6 +175,32 @@ class RigLimits(KnobSettings):
     def bounded(self) -> Constraint | None:
         """The constraint; None without one."""
         return parse_constraint(self.constraint)
+
+    @cached_property
+    def lines(self) -> tuple[Line, ...]:
+        """The lines between knobs."""
+        limits = self.each("theta_min"), self.each("theta_max")
+        lines = parse_lines(self.constraint, self.knob_names)
+        return tuple(line.with_room(*limits, ROUNDED) for line in lines)
+
+    def limit(self, theta: Sequence[float]) -> tuple[float, ...]:
+        """Return theta within its limits and lines.
+
+        Beyond a line it is drawn back straight towards theta_safe, as far as all lines ask for:
+        limits and lines together are convex.
+        """
+        safe, share = self.each("theta_safe"), 1.0
+        theta = self._clip(theta)
+        for line in self.lines:
+            if (excess := line.excess(theta)) > 0.5 * line.room:  # else it was drawn back already
+                share = min(share, line.excess(safe) / (line.excess(safe) - excess))
+        if share == 1.0:
+            return theta
+        return self._clip([a + share * (b - a) for a, b in zip(safe, theta, strict=True)])
+
+    def _clip(self, theta: Sequence[float]) -> tuple[float, ...]:
+        knobs = zip(theta, self.each("theta_min"), self.each("theta_max"), strict=True)
+        return tuple(min(max(value, low), high) for value, low, high in knobs)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -1,10 +1,10 @@
 """What the guard decides: theta within limits and rate, trips and rearms. Pure: no ROS.
 
-Times are of the steady clock [s] and arguments. Whatever comes in, theta stays within its limits
-and moves by no more than its rate allows in the time since it last moved; of a time longer than
-``late`` no more than that counts, so that it never jumps. Theta has a value for each knob. Several
-move in a straight line, the one that needs longest at its rate: as fast as each alone would be
-there, and what is allowed at both ends of a line is so on it, also where knobs bound each other.
+Times are of the steady clock [s] and arguments. Whatever comes in, theta keeps its limits, and the
+lines between knobs, and moves by no more than its rate allows in the time since it last moved; of a
+time longer than ``late`` no more than that counts, so that it never jumps. Theta has a value for
+each knob. Several move straight, the one that needs longest at its rate: as fast as each alone
+would be there, and what is allowed at both ends of a way is so on it.
 """
 
 from __future__ import annotations
@@ -179,9 +179,8 @@ class Guard:
         self._config, self._settings = config, settings
         self._silence = settings.silence(config.period)
         self._late = max(settings.late_periods * config.period, 2.0 * settings.tick)
-        self._limits = tuple(zip(config.each("theta_min"), config.each("theta_max"), strict=True))
         self._rates = [rate * config.pace for rate in config.each("theta_rate")]
-        self.theta = self.target = self._limit(theta)
+        self.theta = self.target = config.limit(theta)
         self.status, self.rearmed = Status.WAITING, 0
         self.trip: Trip | None = None
         self.x: tuple[float, ...] = ()
@@ -241,7 +240,7 @@ class Guard:
         if self.status is Status.TRIPPED:
             return
         self.status = Status.FOLLOWING
-        self.target = self._limit(theta)
+        self.target = self._config.limit(theta)
         if not (saturated and self._saturated < math.inf):
             self._saturated, self._saturated_at = now if saturated else math.inf, tuple(theta)
         limit = self._config.at_limit / self._config.pace
@@ -315,7 +314,7 @@ class Guard:
         """Move to a theta, unless tripped; no controller is expected to answer."""
         if self.status is not Status.TRIPPED and self._is_usable(theta):
             self.status, self._answered = Status.FOLLOWING, -math.inf
-            self.target = self._limit(theta)
+            self.target = self._config.limit(theta)
 
     def may_rearm_itself(self, now: float) -> bool:
         """Return whether it is time for an automatic rearm."""
@@ -348,10 +347,6 @@ class Guard:
 
     def _is_usable(self, theta: Sequence[float]) -> bool:
         return len(theta) == len(self.theta) and all(map(math.isfinite, theta))
-
-    def _limit(self, theta: Sequence[float]) -> tuple[float, ...]:
-        knobs = zip(theta, self._limits, strict=True)
-        return tuple(min(max(value, low), high) for value, (low, high) in knobs)
 
     def _lasting(self, now: float) -> dict[Cause, str]:
         """Return the causes that were there a moment ago."""

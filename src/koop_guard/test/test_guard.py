@@ -24,6 +24,8 @@ CONFIG_2 = replace(
     CONFIG, command="/rig/gains:kp,kd", theta_min=(-1.0, 0.0), theta_max=(2.0, 0.1),
     theta_rate=(4.0, 0.01), theta_start=(1.5, 0.1), theta_safe=(0.5, 0.02),
 )  # fmt: skip
+CONFIG_3 = replace(CONFIG_2, constraint="30 kd >= kp; kp + 30 kd <= 5.5 - 0.5 theta[0]")
+LINES = {CONFIG_3: (np.array([[1.0, -30.0], [1.5, 30.0]]), np.array([0.0, 5.5]))}
 CONFIG_1 = GuardConfig(measured="/rig:x", command="/rig/theta:data", dt=DT)
 SILENCE = SAFETY.silence(DT)
 CALM = SAFETY.calm
@@ -59,13 +61,14 @@ EVENT = st.tuples(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("config", [CONFIG, CONFIG_2])
+@pytest.mark.parametrize("config", [CONFIG, CONFIG_2, CONFIG_3])
 @settings(deadline=None, max_examples=300)
 @given(share=st.floats(0.0, 1.0), events=st.lists(EVENT, max_size=60))
 def test_theta_keeps_its_limits_and_its_rate_whatever_comes_in(config, share, events):
     low, high, rate = (np.array(config.each(f"theta_{name}")) for name in ("min", "max", "rate"))
-    last = low + share * (high - low)
-    guard, now, moved = Guard(config, last.tolist()), 10.0, math.inf
+    lines, bounds = LINES.get(config, (np.zeros((0, config.count)), np.zeros(0)))
+    guard, now, moved = Guard(config, (low + share * (high - low)).tolist()), 10.0, math.inf
+    last = np.array(guard.theta)
     for what, a, b, wait in events:
         now += wait
         if what == "state":
@@ -80,12 +83,43 @@ def test_theta_keeps_its_limits_and_its_rate_whatever_comes_in(config, share, ev
             guard.rearm(now, True)
         new = np.array(guard.advance(now))
         assert np.all((low <= new) & (new <= high))
+        assert np.all(lines @ new <= bounds)
         # 1e-15: a sum of two doubles of this size is rounded by that much
         most = rate * min(max(now - moved, 0.0), 2.0 * SAFETY.tick) * (1 + 1e-9) + 1e-15
         assert np.all(np.abs(new - last) <= most)
         way, left = new - last, np.array(guard.target) - last
         assert np.ptp(way * left[::-1]) <= 1e-14  # in a straight line
         last, moved = new, now
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32), st.integers(2, 4), st.integers(1, 4))
+def test_theta_keeps_any_lines_between_knobs_and_moves_as_far_as_they_let_it(seed, n, m):
+    rng = np.random.default_rng(seed)
+    span, safe = 10.0 ** rng.uniform(-3.0, 3.0, n), rng.uniform(-0.9, 0.9, n)
+    a = rng.standard_normal((m, n)) / span
+    b = a @ (safe * span) + rng.uniform(0.01, 1.0, m)
+    text = [" ".join(f"{w:+.17g} theta[{i}]" for i, w in enumerate(row)) for row in a]
+    config = replace(
+        CONFIG, command="/r/t:" + ",".join("abcd"[:n]), theta_min=tuple(-span),
+        theta_max=tuple(span), theta_rate=tuple(span), theta_safe=tuple(safe * span),
+        theta_start=tuple(safe * span),
+        constraint="; ".join(f"{row} <= {v:.17g}" for row, v in zip(text, b, strict=True)),
+    )  # fmt: skip
+    guard = Guard(config, config.theta_safe)
+    for _ in range(20):
+        asked = span * rng.uniform(-2.0, 2.0, n)
+        guard.go(asked)
+        target, clipped = np.array(guard.target), np.clip(asked, -span, span)
+        assert config.limit(guard.target) == guard.target
+        assert np.ptp((target - safe * span) / (clipped - safe * span)) < 1e-9  # straight
+        at_line = np.isclose(a @ target, b, atol=1e-9).any()
+        assert at_line or (target == clipped).all()
+        for _ in range(int(rng.integers(1, 40))):
+            before, theta = np.array(guard.theta), np.array(guard.move(DT))
+            assert (a @ theta <= b).all()
+            assert (np.abs(theta) <= span).all()
+            assert (np.abs(theta - before) <= span * DT * (1.0 + 1e-9)).all()
 
 
 @given(st.lists(EVENT, max_size=60))
@@ -319,6 +353,16 @@ def test_a_channel_is_stuck_if_neither_chance_nor_rest_explains_that_it_is_still
         assert trips(np.append(x, np.full(3000, x[-1]))) is found
 
 
+BAD = (
+    ("kp < 20 kd", "^constraint = 'kp < 20 kd': write kp <= 20 kd between knobs, or rms"),
+    ("kp <= 20 kx", "^constraint = .*: unknown knob 'kx': did you mean 'kp'"),
+    ("kp * kd <= 2", r"^constraint = .*: '\* kd' is not a sum of knobs, each with a factor"),
+    ("kp <= 2; kp <= kd", "^constraint = .*: kp <= 2 is not between two knobs: theta_min and"),
+    ("kp + kd >= 1", r"^theta_safe = \[0.5, 0.5\]: must lie within kp \+ kd >= 1, a constraint"),
+    ("kp + 2 kd <= 4", r"^theta_start = \[1.5, 1.5\]: must lie within kp \+ 2 kd <= 4"),
+)
+
+
 @pytest.mark.parametrize(
     ("values", "reason"),
     [
@@ -333,6 +377,7 @@ def test_a_channel_is_stuck_if_neither_chance_nor_rest_explains_that_it_is_still
         ({"theta_safe": 5.0}, "theta_safe = 5: must lie within"),
         ({"channel_max": (1.0,)}, "channel_max has 1 values: one for each of 2 channels"),
         ({"on_end": "stay"}, "must be one of safe, hold"),
+        *(({"command": "/r/t:kp,kd", "constraint": text}, reason) for text, reason in BAD),
     ],
 )
 def test_what_contradicts_itself_is_refused(values, reason):

@@ -8,14 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from koop_core.config.knobs import KnobSettings
+from koop_core.config.constraint import Line, parse_lines
+from koop_core.config.knobs import KnobSettings, format_knobs
 from koop_core.config.parameter import ConfigError, parameter
 from relay_esc.barrier import BarrierParams, barrier_params
-from relay_esc.directions import DirectionState, Knobs, start
+from relay_esc.directions import DirectionState, Knobs, bring_inside, start
 from relay_esc.directions import recalled as recalled_directions
 from relay_esc.elementary import exp, log
 from relay_esc.relay import MEMORY, RelayParams, RelayState, dwell_samples, initial, recalled
 from relay_esc.swing import SWING
+
+ROOM = 1e-9  # share of a line's terms by which the controller stays within it; more than the guard
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,13 @@ class EscConfig(KnobSettings):
         "what the controller goes on from, as 'koop up' has noted it; []: theta_initial",
         read_only=True,
     )
+    constraint: str = parameter(
+        "",
+        "lines between knobs that theta keeps, theta[0] <= 20 theta[1] or theta[0] + 2 theta[1] <= "
+        "3 and so on, separated by ';' (theta_scale log: ratios as the first); a bound on a signal "
+        "is the lifter's; empty: none",
+        read_only=True,
+    )
     margin_slope: float = parameter(
         0.0,
         "change of the constraint's margin per unit of theta (theta_scale log: of ln theta), as "
@@ -105,8 +115,20 @@ class EscConfig(KnobSettings):
                 raise ConfigError("widest and margin_slope are for one knob")
             if 0.0 in self.each("step_size"):
                 raise ConfigError("step_size = 0: must be above 0 with several knobs")
+            for line in self.lines:
+                if line.excess(self.each("theta_initial")) > 0.0:
+                    raise ConfigError(
+                        f"theta_initial = {format_knobs(self.each('theta_initial'))}: must lie "
+                        f"within {line.text}, a constraint"
+                    )
+                if self.theta_scale == "log" and line.as_ratio() is None:
+                    raise ConfigError(
+                        f"constraint: with theta_scale log a line is a ratio of two knobs, "
+                        f"theta[0] <= 20 theta[1], not {line.text}"
+                    )
             self.initial_directions()  # each knob is valid
             return
+        parse_lines(self.constraint, ("theta",))
         if self.theta_min >= self.theta_max:
             raise ConfigError(
                 f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
@@ -133,13 +155,18 @@ class EscConfig(KnobSettings):
 
     def knob(self, i: int, **others: Any) -> EscConfig:
         """Return the configuration of one knob alone, with ``others`` changed."""
-        of_all = {"begin": ()} if self.count > 1 else {}
+        of_all = {"begin": (), "constraint": ""} if self.count > 1 else {}
         return super().knob(i, **{**of_all, **others})
 
     @property
     def limits(self) -> tuple[float, ...]:
         """Least and largest theta, the limits wide open."""
         return self.widest or (self.theta_min, self.theta_max)
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """Lines between the knobs."""
+        return parse_lines(self.constraint, [f"theta[{i}]" for i in range(self.count)])
 
     def scaled(self, theta: float) -> float:
         """Return u of a theta: theta itself, or its logarithm."""
@@ -177,14 +204,22 @@ class EscConfig(KnobSettings):
     def knob_limits(self, dt: float) -> Knobs:
         """Return what ``relay_esc.directions.answer`` takes besides the first knob's params."""
         each = [knob.params(dt) for knob in self.knobs()]
-        unit = each[0].step_size or 1.0
+        unit, logarithmic = each[0].step_size or 1.0, each[0].logarithmic
+        low, high = [p.u_low for p in each], [p.u_high for p in each]
+        scale = np.array([p.step_size / unit for p in each])
+        lines = [line.as_ratio() or line if logarithmic else line for line in self.lines]
+        lines = [line.with_room(low, high, ROOM) for line in lines]
+        normals = np.array([line.weights for line in lines]).reshape(-1, scale.size) * scale
+        lengths = np.linalg.norm(normals, axis=1)
         return Knobs(
-            np.array([p.u_low for p in each]),
-            np.array([p.u_high for p in each]),
-            np.array([p.step_size / unit for p in each]),
+            np.array(low),
+            np.array(high),
+            scale,
             np.array([p.largest_change for p in each]),
             np.array([p.theta_low for p in each]),
             np.array([p.theta_high for p in each]),
+            normals / lengths[:, None],
+            np.array([line.bound - line.room for line in lines]) / lengths,
         )
 
     def initial_directions(self) -> DirectionState:
@@ -200,6 +235,11 @@ class EscConfig(KnobSettings):
             return begin._replace(relay=each[0])
         if self.begin:
             return recalled_directions(begin, self.begin, self.theta_scale == "log")
+        if self.lines and not bring_inside.py_func(self.knob_limits(1.0), begin.base):
+            raise ConfigError(
+                f"constraint: no theta within theta_min and theta_max keeps {self.constraint}"
+            )
+        begin.begin[:] = begin.base
         return begin
 
     @property

@@ -11,6 +11,11 @@ After a round of n directions, the way that base went in it takes the place of t
 most like it, and the others are made orthogonal to it again (Rosenbrock 1960): knobs that are
 coupled are sought along their valley. A round that went nowhere says nothing and changes nothing.
 
+Lines between knobs (:mod:`koop_core.config.constraint`) are kept as their limits are: u is brought
+back to them by the shortest way, in units of ``scale``, and so goes along a line to the best on it.
+What is given out then moves straight, the slowest knob at its rate: what a way's ends keep it keeps
+all along.
+
 With one knob this is the relay alone, bit for bit.
 """
 
@@ -49,6 +54,7 @@ class DirectionSettings(Settings):
 DIRECTIONS = constants(DirectionSettings())
 FACTOR, DIP, SHORT, CENTRED, EPSILON = range(5)
 OWN = 5  # numbers that a direction has of its own
+ROUNDED, SWEEPS = 1e-10, 100  # share of a line's terms that counts as none; of :func:`bring_inside`
 LASTING = ("base", "begin", "output", "directions", "own")  # arrays that outlast the controller
 
 
@@ -65,6 +71,10 @@ class Knobs(NamedTuple):
         Largest change of what is given out, per sample [u].
     theta_lower, theta_upper : ndarray
         The limits again [theta].
+    normals : ndarray, shape (m, n)
+        Of each line between knobs a . u <= b: a times ``scale``, of length 1.
+    bounds : ndarray, shape (m,)
+        b of the same.
     """
 
     lower: NDArray[np.float64]
@@ -73,6 +83,8 @@ class Knobs(NamedTuple):
     largest_change: NDArray[np.float64]
     theta_lower: NDArray[np.float64]
     theta_upper: NDArray[np.float64]
+    normals: NDArray[np.float64] = np.empty((0, 1))
+    bounds: NDArray[np.float64] = np.empty(0)
 
 
 class DirectionState(NamedTuple):
@@ -196,6 +208,30 @@ def seeking(
 
 
 @njit()
+def bring_inside(k: Knobs, u: NDArray[np.float64]) -> bool:
+    """Project u onto limits and lines in turn until it keeps them; return False if it does not.
+
+    To one line that is the shortest way (Bregman 1965, in units of ``scale``).
+    """
+    for _ in range(SWEEPS):
+        inside = True
+        for i in range(u.size):
+            u[i] = min(max(u[i], k.lower[i]), k.upper[i])
+        for j in range(k.bounds.size):
+            beyond, size = -k.bounds[j], abs(k.bounds[j])
+            for i in range(u.size):
+                term = k.normals[j, i] * u[i] / k.scale[i]
+                beyond, size = beyond + term, size + abs(term)
+            if beyond > ROUNDED * size:
+                inside = False
+                for i in range(u.size):
+                    u[i] -= beyond * k.normals[j, i] * k.scale[i]
+        if inside:
+            return True
+    return False
+
+
+@njit()
 def rotate(p: RelayParams, k: Knobs, state: DirectionState) -> None:
     """End a round: the way of base becomes a direction, the others are made orthogonal to it."""
     directions, n = state.directions, state.base.size
@@ -275,8 +311,8 @@ def switch(
     rest = s if at_end else rest
     rest = min(max(rest, line.u_min), line.u_max)
     for i in range(state.base.size):
-        u = state.base[i] + rest * state.directions[state.active, i] * k.scale[i]
-        state.base[i] = min(max(u, k.lower[i]), k.upper[i])
+        state.base[i] += rest * state.directions[state.active, i] * k.scale[i]
+    bring_inside(k, state.base)
     ended = own[state.active]
     ended[FACTOR], ended[DIP], ended[SHORT] = swing.factor, swing.dip, swing.short
     ended[CENTRED], ended[EPSILON] = swing.centred, relay_state.epsilon
@@ -343,11 +379,19 @@ def answer(
     at_end = dwelt and after.u == (line.u_min if down else line.u_max) and falls(after.swing)
     if legs == DIRECTIONS.legs or at_end:
         state = switch(p, k, state, line, before.swing.turned, at_end)
-    saturated = False
-    for i in range(state.base.size):
-        u = state.base[i] + state.relay.u * state.directions[state.active, i] * k.scale[i]
-        u = min(max(u, k.lower[i]), k.upper[i])
-        state.output[i] = slew(state.output[i], u, k.largest_change[i])
+    wanted, saturated, share = np.empty(state.base.size), False, 1.0
+    for i in range(wanted.size):
+        wanted[i] = state.base[i] + state.relay.u * state.directions[state.active, i] * k.scale[i]
+    if not bring_inside(k, wanted):
+        share = 0.0
+    for i in range(wanted.size):
+        change = abs(wanted[i] - state.output[i])
+        if k.bounds.size > 0 and change > k.largest_change[i]:
+            share = min(share, k.largest_change[i] / change)
+    for i in range(wanted.size):
+        u, before = wanted[i], state.output[i]
+        aim = u if share == 1.0 else before + share * (u - before)
+        state.output[i] = slew(before, aim, k.largest_change[i])
         saturated = saturated or u <= k.lower[i] or u >= k.upper[i]
         theta = exp(state.output[i]) if p.logarithmic else state.output[i]
         if k.lower[i] <= state.output[i] <= k.upper[i]:  # not beyond a limit by rounding

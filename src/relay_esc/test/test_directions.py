@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from koop_core.config.parameter import ConfigError
 from koop_core.stream.arrival import Arrival
@@ -58,14 +59,17 @@ def test_one_knob_is_the_relay_to_the_last_bit(values: dict[str, Any]) -> None:
     assert abs(alone.output - begun) > 0.0
 
 
-@pytest.mark.parametrize("n", [2, 5])
-def test_limits_and_rates_hold_whatever_the_cost_does(n: int) -> None:
+@pytest.mark.parametrize(("n", "lines"), [(2, 0), (5, 0), (2, 1), (3, 2), (5, 4)])
+def test_limits_lines_and_rates_hold_whatever_the_cost_does(n: int, lines: int) -> None:
     rng, rate = np.random.default_rng(n), 0.02
     p = config().params(DT)
     lower, upper = -rng.uniform(0.2, 1.0, n), rng.uniform(0.2, 1.0, n)
     scale, change = rng.uniform(0.3, 3.0, n), rate * rng.uniform(0.5, 2.0, n)
-    knobs = Knobs(lower, upper, scale, change, lower, upper)
     u = rng.uniform(-0.2, 0.2, n)
+    a = rng.standard_normal((lines, n))
+    a /= np.linalg.norm(a * scale, axis=1)[:, None]
+    b = a @ u + rng.uniform(0.0, 0.1, lines)
+    knobs = Knobs(lower, upper, scale, change, lower, upper, a * scale, b)
     state, before, swept = start(u, rng.choice([-1, 1], n)), u.copy(), 0.0
     for k in range(5_000):
         r = math.nan if rng.random() < 0.01 else float(np.exp(rng.normal()))
@@ -78,6 +82,8 @@ def test_limits_and_rates_hold_whatever_the_cost_does(n: int) -> None:
         assert (state.output >= knobs.lower).all()
         assert (state.output <= knobs.upper).all()
         assert (np.abs(state.output - before) <= knobs.largest_change * (1.0 + 1e-9)).all()
+        assert (a @ state.output <= b + 1e-9).all()  # a share of 1e-10 of its terms is rounding
+        assert (a @ state.base <= b + 1e-9).all()
         swept = max(swept, float(np.abs(state.output - u).min()))
         before = state.output.copy()
     assert swept > 0.0  # every knob was moved
@@ -119,6 +125,40 @@ def test_knobs_leave_a_corner_although_each_leg_reaches_a_limit(sense: float) ->
     u_star = sense * np.array([0.3, -0.3])
     at = seek(m, u_star, sense * np.array([1.0, -1.0]), 12_000, 4.0, floor=0.5, noise=0.3)
     assert np.linalg.norm(m @ (at - u_star)) < 0.35  # of 0.5 in the corner
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_within_lines_between_knobs_is_found(seed: int, scale: str) -> None:
+    rng = np.random.default_rng(seed)
+    q, _ = np.linalg.qr(rng.standard_normal((2, 2)))
+    m, u_star, u = np.diag([1.0, 0.3]) @ q, np.array([0.6, -0.6]), rng.uniform(-0.5, 0.0, 2)
+    if scale == "linear":
+        a, b = np.array([[1.0, -2.0], [2.0, 0.5]]), np.array([1.0, 0.5])
+        limits = {"theta_min": [-1.0] * 2, "constraint": "theta[0] <= 1 + 2 theta[1]; "
+                  "2 theta[0] + 0.5 theta[1] <= 0.5", "theta_initial": u.tolist()}  # fmt: skip
+    else:  # of u = ln theta
+        a, b = np.array([[1.0, -1.0]]), np.array([math.log(1.5)])
+        limits = {"theta_scale": "log", "theta_min": [math.exp(-1.0)] * 2, "theta_max": math.e,
+                  "constraint": "1.5 theta[1] >= theta[0]",
+                  "theta_initial": np.exp(np.minimum(u, u[::-1])).tolist()}  # fmt: skip
+    several = config(step_size=0.005, rate_limit=0.2, **limits)
+    p, knobs, state = several.knob(0).params(DT), several.knob_limits(DT), None
+    floor, path = 0.02, []
+    for _ in range(8_000):
+        first, state = state is None, state or several.initial_directions()
+        e = m @ (state.output - u_star)
+        r, arrival = float(e @ e) + floor, RESTART if first else NEXT
+        state, _, _ = directions.answer(p, knobs, state, arrival, False, False, r, False)
+        path.append(state.output.copy())
+        assert (a @ path[-1] <= b).all()
+    best = minimize(
+        lambda v: float(np.sum((m @ (v - u_star)) ** 2)), np.zeros(2), bounds=[(-1.0, 1.0)] * 2,
+        constraints={"type": "ineq", "fun": lambda v: b - a @ v},
+    )  # fmt: skip
+    assert (a @ u_star > b).any()
+    at = np.mean(path[-2_500:], axis=0)
+    assert float(np.sum((m @ (at - u_star)) ** 2)) + floor < 1.2 * (best.fun + floor)
 
 
 def test_a_knob_that_does_nothing_does_not_keep_the_other_from_its_optimum() -> None:
@@ -185,5 +225,16 @@ def test_a_configuration_of_several_knobs_has_limits_steps_and_rates_of_each() -
     assert state.theta[0] == pytest.approx(0.5, rel=0.1)
     with pytest.raises(ConfigError, match=r"theta_min = 1 must be below theta_max = 0\.5"):
         config(theta_min=[0.1, 1.0], theta_max=0.5, theta_initial=0.3)
+    for text, wrong in (
+        ("theta[0] + theta[1] <= 3", r"^constraint: with theta_scale log a line is a ratio of two"),
+        ("theta[0] <= 0.2 theta[1]", r"^theta_initial = \[0.5, 2\]: must lie within theta\[0\] <="),
+        ("theta[0] >= theta[2]", r"^constraint = .*: unknown knob 'theta\[2\]'"),
+    ):
+        with pytest.raises(ConfigError, match=wrong):
+            replace(several, constraint=text)
+    with pytest.raises(
+        ConfigError, match=r"^constraint: no theta within theta_min and theta_max k"
+    ):
+        config(theta_initial=[-2.0, 0.0], rate_limit=0.1, constraint="theta[0] <= theta[1] - 2")
     with pytest.raises(ConfigError, match="are for one knob"):
         config(theta_initial=[0.1, 0.3], widest=[-2.0, 2.0])

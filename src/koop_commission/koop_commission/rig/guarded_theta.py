@@ -96,9 +96,8 @@ class GuardedTheta:
         return state.status == state.FOLLOWING and state.theta == self._target.data
 
     def go(self, theta: Sequence[float]) -> None:
-        """Move theta of each knob to a value, within limits and rate."""
-        limits = zip(theta, self._rig.each("theta_min"), self._rig.each("theta_max"), strict=True)
-        self._say([min(max(value, low), high) for value, low, high in limits])
+        """Move theta of each knob to a value, within limits, lines and rate."""
+        self._say(self._rig.limit(theta))
 
     def follow(self) -> None:
         """Let the controller, which begins at this theta, move it until :meth:`go`."""
