@@ -49,6 +49,7 @@ PAPER = RigFile(
     theta_rate=1.0,
     theta_start=(-1.6, -0.5),
     theta_safe=(-2.0, 0.0),
+    constraint="theta[0] + theta[1] <= 0.5",  # a corner is beyond it
     time=1e6,
     pace=300.0,
 )
@@ -100,6 +101,7 @@ class PaperRig(Rig):
 
         super().__init__("paper_rig")
         self.theta, self._heard = np.array(PAPER.theta_start), -math.inf
+        self.most = -math.inf  # of theta[0] + theta[1]
         self._publisher = self._node.create_publisher(JointState, "/paper", 100)
         self._message = JointState()
         self._is_answered = True
@@ -108,6 +110,7 @@ class PaperRig(Rig):
 
     def _on_command(self, message):
         self.theta, self._heard = np.array(message.theta), time.monotonic()
+        self.most = max(self.most, float(self.theta.sum()))
         self._is_answered |= message.header.stamp == self._message.header.stamp
 
     def _run(self):

@@ -22,6 +22,8 @@ KNOBS = replace(
     RIG, command="/b:z[0],z[1]", theta_min=(-1.0, 0.1), theta_max=(3.0, 10.0), theta_rate=0.5,
     theta_start=(2.0, 5.0), theta_safe=(2.0, 5.0),
 )  # fmt: skip
+TRAINING = BagTraining(BagReading(recorded_source("/state:x"), dt=DT), names=("x",))
+SETTINGS = TuningSettings(effort=0.02, workers=1)
 START = [0.75, math.log(50.0) / math.log(100.0)]  # the second is on a scale of log theta
 
 
@@ -79,9 +81,7 @@ def test_the_optimum_of_coupled_knobs_is_found_though_it_lies_on_no_line_through
 
 def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled):
     rig, design, _ = coupled
-    training = BagTraining(BagReading(recorded_source("/state:x"), dt=DT), names=("x",))
-    settings = TuningSettings(effort=0.02, workers=1)
-    tuning = tune_knobs(rig.loaded, KNOBS, design.lines, training, design.amplitude, settings)
+    tuning = tune_knobs(rig.loaded, KNOBS, design.lines, TRAINING, design.amplitude, SETTINGS)
     limits = tuning.limits
     for knob, one in enumerate(KNOBS.knobs()):
         best = one.scale.theta_at(design.base[knob])
@@ -96,6 +96,29 @@ def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled)
     part = cut_section(rig.loaded, KNOBS, 0, design.lines[0])
     assert 0 < part.x.shape[1] < rig.loaded.x.shape[1]
     assert set(np.unique(part.theta)) <= set(np.unique(rig.loaded.theta[:, 0]))
+
+
+def test_an_optimum_beyond_a_line_between_knobs_is_sought_on_the_line():
+    file = replace(KNOBS, constraint="z[0] + 0.5 z[1] >= 2")
+    rig = SimulatedKnobs(diagonal)
+    design, moves = run(KnobsDesign(file), rig)
+    assert design.ended == KNOWN
+    held = np.concatenate([theta for theta, _ in rig.recorded])
+    passed = [file.theta_at(move.via) for move in moves if move.via is not None]
+    for theta in np.concatenate([held, passed]):
+        assert theta @ [1.0, 0.5] >= 2.0 - 1e-9
+    u = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 401)] * 2), axis=-1).reshape(-1, 2)
+    keeps = 4.0 * u[:, 0] - 1.0 + 0.05 * 100.0 ** u[:, 1] >= 2.0
+    best = min(diagonal(each) for each in u[keeps])
+    assert best > math.log(1.3)  # of 1 beyond it
+    assert diagonal(design.base) - best < math.log(1.15)
+    tuning = tune_knobs(rig.loaded, file, design.lines, TRAINING, design.amplitude, SETTINGS)
+    esc = tuning.esc
+    assert (esc.constraint, esc.theta_scale) == ("-1 theta[0] -0.5 theta[1] <= -2", "linear")
+    low, high = np.array(esc.theta_min), np.array(esc.theta_max)
+    theta = np.array(file.theta_at(design.base))
+    assert ((low < theta) & (theta < high)).all()
+    assert low @ [1.0, 0.5] < 2.0 < high @ [1.0, 0.5]  # the line goes through, not the limits
 
 
 def test_a_knob_without_effect_is_left_at_its_start():

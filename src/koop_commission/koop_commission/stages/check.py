@@ -250,11 +250,11 @@ def _move_knob(
 def step_away(
     rig: RigFile, theta: Sequence[float], share: float, knob: int | None = None
 ) -> tuple[float, ...]:
-    """Return theta with a knob, or all of them, a share of its range away."""
-    return tuple(
-        scale.step_away(value, share) if knob in (None, k) else value
-        for k, (scale, value) in enumerate(zip(rig.scales, theta, strict=True))
-    )
+    """Return theta with a knob, or all of them, a share of the range away that it has there."""
+    return rig.limit([
+        rig.section(k, theta).scale.step_away(value, share) if knob in (None, k) else value
+        for k, value in enumerate(theta)
+    ])  # fmt: skip
 
 
 def describe_test(rig: RigFile, settings: CheckSettings) -> str:

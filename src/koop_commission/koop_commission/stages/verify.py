@@ -127,16 +127,17 @@ def find_starts(rig: RigFile, state: ExcitationProgress) -> list[tuple[float, ..
     """Return thetas from which loops are closed: the ends of the range.
 
     Of several knobs the corner that the excitation lets expect to be the worst, and the opposite
-    one: each knob begins at both of its ends.
+    one: each knob begins at both of its ends, or as near as lines between them let it.
     """
     n = rig.count
     if n == 1:
         return [rig.each("theta_min"), rig.each("theta_max")]
-    corners = np.array(list(itertools.product((0.0, 1.0), repeat=n)))
+    corners = [rig.limit(rig.theta_at(u)) for u in itertools.product((0.0, 1.0), repeat=n)]
+    worst = len(corners) - 1
     if len(state.holds) > n:
         bowl = fit_bowl(*state.arrays(rig))
-        corners = corners[np.argsort(bowl.log(corners), kind="stable")]
-    return [rig.theta_at(1.0 - corners[-1]), rig.theta_at(corners[-1])]
+        worst = int(np.argmax(bowl.log(rig.u(corners))))
+    return [corners[-1 - worst], corners[worst]]
 
 
 def judge(rig: RigFile, folder: Path, index: int) -> Verification:

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from koop_core.config.parameter import Settings, judged
 from koop_tune.excitation.amplitude import Amplitude, Windows
@@ -103,7 +104,7 @@ class KnobsDesign:
         self._of_section = replace(DESIGN, gap=KNOBS.gap) if rig.count > 1 else DESIGN
         self._recorded, self._arrivals = list(recorded), 0
         self._done: list[tuple[Hold, Array]] = []
-        self._section, self._through = 0, self.base
+        self._look_along(0, self.base)
         self._design = Design(rig.knob(0), settings=self._of_section)
         self._moves = self._plan()
         self.listens, self.look = self._design.listens, self._design.look
@@ -170,9 +171,9 @@ class KnobsDesign:
 
     def arrive(self, move: KnobsMove, elapsed: float) -> None:
         """As :meth:`Design.arrive`."""
-        self._design.rig = self._rig_of(self._section)
-        via = None if move.via is None else float(move.via[self._section])
-        at = Move(float(move.u[self._section]), via, move.why)
+        self._design.rig = replace(self._part, time=self.rig.time)
+        via = None if move.via is None else self._on(move.via)
+        at = Move(self._on(move.u), via, move.why)
         self._arrivals += 1
         self._design.arrive(at, elapsed, self._arrivals)
 
@@ -202,7 +203,7 @@ class KnobsDesign:
         for knob in (*knobs, *knobs):  # again where windows became longer meanwhile
             if sum(map(self._is_long, lines[knob])) < self._of_section.first:
                 yield from self._along(knob, whole=False)
-                lines[knob], self.lines[knob] = self._design.holds, self.base
+                lines[knob], self.lines[knob] = self._design.holds, self._through
                 self._move_base()
         if self.amplitude is None:
             self.ended = FLAT
@@ -225,7 +226,7 @@ class KnobsDesign:
                 width = self._half_width(knob)
                 first = [self.base[knob] + share * width for share in (-1.0, -0.5, 0.5, 1.0)]
                 yield from self._along(knob, [u for u in first if 0.0 <= u <= 1.0])
-                self.sections[knob], self.lines[knob] = self._design.holds, self.base
+                self.sections[knob], self.lines[knob] = self._design.holds, self._through
                 self._move_base()
             if self._least_of_bowl() is None:
                 break
@@ -235,46 +236,68 @@ class KnobsDesign:
         self, knob: int, first: Sequence[float] | None = None, whole: bool = True
     ) -> Iterator[KnobsMove]:
         """Find out a section through the base; or only go to the first positions."""
-        others, on = np.arange(self.base.size) != knob, []
-        self._through = self.base
-        held, self._done = self.held, []
+        others, on, held = np.arange(self.base.size) != knob, [], self.held
+        self._done = []
+        self._look_along(knob, self._with_room(knob))
         for hold, u in held:
-            if np.abs(u - self.base)[others].max() > KNOBS.same:
+            if np.abs(u - self._through)[others].max() > KNOBS.same:
                 self._done.append((hold, u))
                 continue
             on.append(copy(hold))
-            on[-1].u, on[-1].confirms = float(u[knob]), False
-        self._begin(knob, on, first)
+            on[-1].u, on[-1].confirms = self._on(u), False
+        if first is not None:
+            first = list(dict.fromkeys(self._on(np.full(self.base.size, u)) for u in first))
+        self._begin(on, first)
         choose = self._design.next if whole else self._design.next_first
         while (move := choose()) is not None:
             via = None if move.via is None else self._at(move.via)
             yield KnobsMove(self._at(move.u), via, move.why)
 
-    def _begin(self, knob: int, holds: Sequence[Hold], first: Sequence[float] | None) -> None:
+    def _begin(self, holds: Sequence[Hold], first: Sequence[float] | None) -> None:
         """Begin to decide about a knob, all holds elsewhere known."""
-        self._section = knob
         if self._done or holds:  # else it is the first, which knows what was heard
             self._design = Design(
-                self._rig_of(knob), holds, None, self._of_section, self._design,
+                self._part, holds, None, self._of_section, self._design,
                 [hold for hold, _ in self._done], first,
             )  # fmt: skip
 
-    def _rig_of(self, knob: int) -> RigFile:
-        """Return the rig with one knob, which starts at the base."""
-        rig = self.rig.knob(knob)
-        theta = rig.scale.theta_at(float(self.base[knob]))
-        return self.rig.knob(knob, theta_start=min(max(theta, rig.theta_min), rig.theta_max))
+    def _look_along(self, knob: int, place: Array) -> None:
+        """Let the section be that of a knob through a place."""
+        self._section, self._through = knob, place
+        self._part = self.rig.section(knob, self.rig.theta_at(place))
+
+    def _with_room(self, knob: int) -> Array:
+        """Return the base; where lines leave a knob hardly any room, a place nearer theta_safe."""
+        rig, theta = self.rig, np.array(self.rig.theta_at(self.base))
+        for share in np.linspace(0.0, 1.0, 33) if rig.lines else ():
+            place = theta + share * (rig.each("theta_safe") - theta)
+            low, high = rig.room(knob, place.tolist())
+            if high - low >= KNOBS.least * rig.knob(knob).span:
+                return rig.u(place) if share else self.base
+        return self.base
 
     def _at(self, u: float) -> Array:
-        """Return where theta is if the knob of the section is at a position."""
-        place = self._through.copy()
-        place[self._section] = u
+        """Return where theta is if the knob is at a position of its section."""
+        place, k, part = self._through.copy(), self._section, self._part.scale
+        whole = self.rig.scales[k]
+        place[k] = u if part == whole else whole.u(part.theta(np.array(u)))
         return place
+
+    def _on(self, u: Array) -> float:
+        """Return the position on the section of the knob's at a place; rounded, for its ends."""
+        k, part = self._section, self._part.scale
+        whole = self.rig.scales[k]
+        return float(u[k] if part == whole else np.round(part.u(whole.theta(u[k])), 12))
+
+    def _keep(self, u: Array) -> Array:
+        """Return a place within the lines between knobs."""
+        return self.rig.u(self.rig.limit(self.rig.theta_at(u))) if self.rig.lines else u
 
     def _hold_at(self, u: Array, why: str) -> Iterator[KnobsMove]:
         """Hold once at some place."""
-        self._done, self._through = self.held, u
-        self._begin(self._section, (), ())
+        self._done = self.held
+        self._look_along(self._section, u)
+        self._begin((), ())
         yield KnobsMove(u, None, why)
         self._done += [(hold, u) for hold in self._design.holds]
         self._design.holds = []
@@ -292,18 +315,21 @@ class KnobsDesign:
         if self.amplitude is not None:
             u, y, error = self._table()
             useful = np.isin(np.arange(self.base.size), self._useful)
-            self.base = np.where(useful, u[np.argmin(y + error)], self._start)
+            self.base = self._keep(np.where(useful, u[np.argmin(y + error)], self._start))
 
     def _beside(self, ways: dict[int, float]) -> Array:
         """Return a place away from the base along some knobs, towards the middle of the range."""
         place = self.base.copy()
         for knob, way in ways.items():
             place[knob] += way if place[knob] < 0.5 else -way
-        return np.clip(place, 0.0, 1.0)
+        return self._keep(np.clip(place, 0.0, 1.0))
 
     def _width(self, knob: int) -> float:
         """Return half the width of a knob's section where it is away times its best."""
-        return min(max(0.5 * self.section(knob).valley(KNOBS.away).width, KNOBS.least), KNOBS.most)
+        rig, valley = self.rig, np.array(self.section(knob).valley(KNOBS.away))
+        part = rig.section(knob, rig.theta_at(self.lines[knob])).scale
+        width = float(np.ptp(rig.scales[knob].u(part.theta(valley))))
+        return min(max(0.5 * width, KNOBS.least), KNOBS.most)
 
     def _half_width(self, knob: int) -> float:
         """Return how far from the base, along a knob, the bowl is away times that there."""
@@ -324,7 +350,9 @@ class KnobsDesign:
         bowl = self._bowl()
         place = self.base.copy()
         place[self._useful] = bowl.best
-        gain = float(y.min()) - float(bowl.log(bowl.best[None])[0])
+        if self.rig.lines:
+            place = self._keep(least_within(self.rig, bowl, self._useful, self.base))
+        gain = float(y.min()) - float(bowl.log(place[None, self._useful])[0])
         near = float(np.abs(u - place).max(axis=1).min())
         return place if gain > KNOBS.gain and near > KNOBS.same else None
 
@@ -333,3 +361,25 @@ class KnobsDesign:
             if (place := self._least_of_bowl()) is None:
                 return
             yield from self._hold_at(place, "the least of the bowl that fits all holds")
+
+
+def least_within(rig: RigFile, bowl: Bowl, knobs: Sequence[int], base: Array) -> Array:
+    """Return the place of a bowl's least over some knobs within lines, the others as at base."""
+    spans = np.ptp([rig.each("theta_min"), rig.each("theta_max")], axis=0)
+    sizes = [float(np.abs(line.weights) @ spans) for line in rig.lines]
+
+    def place(u: Array) -> Array:
+        at = base.copy()
+        at[list(knobs)] = np.clip(u, 0.0, 1.0)
+        return at
+
+    def left(u: Array) -> list[float]:
+        theta = rig.theta_at(place(u))
+        return [-line.excess(theta) / size for line, size in zip(rig.lines, sizes, strict=True)]
+
+    found = minimize(
+        lambda u: float((((u - bowl.best) @ bowl.root.T) ** 2).sum() / (bowl.root**2).sum()),
+        base[list(knobs)], method="SLSQP", bounds=[(0.0, 1.0)] * len(knobs),
+        constraints={"type": "ineq", "fun": left}, tol=1e-9,
+    )  # fmt: skip
+    return place(found.x)

@@ -64,6 +64,8 @@ class SafeRange(NamedTuple):
         Least and largest theta that kept it, without one between that did not.
     bound_low, bound_high : bool
         Whether the constraint and not the rig file ends the range there.
+    fixed : bool
+        Whether it does so for ever, as a line between knobs, of which no margin is known.
     """
 
     theta: tuple[float, ...]
@@ -72,6 +74,7 @@ class SafeRange(NamedTuple):
     high: float
     bound_low: bool
     bound_high: bool
+    fixed: bool = False
 
     def ends(self, upper: bool) -> bool:
         """Return whether the constraint ends the range, at its upper or its lower end."""

@@ -80,10 +80,11 @@ def as_words(tuned: KnobsTuning) -> str:
     span = "of log theta's range" if tuning.findings.scale.logarithmic else "of theta's range"
     direction = "down" if tuning.task.sense > 0 else "up"
     notes = [f"in doubt: {tuning.findings.doubt}"] if tuning.findings.doubt else []
-    if (safe := tuning.findings.safe) is not None:
+    if (safe := tuning.findings.safe) is not None and not safe.fixed:
         best = tuning.findings.scale.theta_at(tuning.findings.static_map.best())
         margin = f"margin {safe.margin_at(best):.2g} is predicted at {best:.4g}"
         notes.append(f"the constraint is kept from {safe.low:.4g} to {safe.high:.4g}: {margin}")
+    notes += [f"always kept: {line.text}" for line in tuned.rig.lines]
     notes += [
         f"narrower{f', {name}' * several}: {limits.why}"
         for name, limits in zip(names, tuned.limits, strict=True) if limits.why
@@ -168,7 +169,9 @@ def _esc(tuned: KnobsTuning) -> Parameters:
         "theta_initial": "theta_safe of the rig file: from there the guard lets it command",
     }  # fmt: skip
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
-    if findings.safe is not None:
+    if esc.constraint:
+        parameters["constraint"] = (esc.constraint, OF_RIG)
+    if findings.safe is not None and not findings.safe.fixed:
         slope = float(f"{findings.safe.slope(findings.scale):.3g}")
         parameters["margin_slope"] = (slope, describe_barrier(findings.safe, slope))
     return parameters

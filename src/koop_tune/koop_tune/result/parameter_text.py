@@ -85,6 +85,7 @@ def list_untuned(rig: RigFile, note: Path) -> dict[str, Parameters]:
             "rate_limit": (rig.theta_rate, "theta_rate of the rig file"),
             "theta_initial": (rig.theta_safe, "theta_safe of the rig file: where the guard begins"),
             "objective": (rig.objective, OF_RIG),
+            **({"constraint": (rig.theta_lines, OF_RIG)} if rig.lines else {}),
         },
         "koop_guard": list_guard(rig, note),
     }

@@ -52,16 +52,16 @@ def summarise(tuned: KnobsTuning, model: Path | None = None) -> TuneResult:
         _list_parameters(tuned, model),
     )  # fmt: skip
     costs = [_summarise_cost(candidate, findings, tuning) for candidate in findings.costs]
-    others = [
-        _summarise_map(
-            replace(findings, static_map=section, scale=scale, limits=tuned.limits[k]), k
+    maps = {
+        k: _summarise_map(
+            replace(
+                findings, static_map=section, scale=tuned.rigs[k].scale, limits=tuned.limits[k]
+            ), k
         )
         for k, section in tuned.sections.items()
-        if k != tuned.knob
-        for scale in [tuned.rig.scales[k]]
-    ]
-    searched = _summarise_map(findings, tuned.knob)
-    return TuneResult("tuned", tuning.why, searched, costs, controller, others)
+    }  # fmt: skip
+    searched = maps.pop(tuned.knob)
+    return TuneResult("tuned", tuning.why, searched, costs, controller, [*maps.values()])
 
 
 def _summarise_map(findings: Findings, knob: int = 0) -> AmplitudeMap:

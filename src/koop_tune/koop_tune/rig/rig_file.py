@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,29 @@ class RigFile(RigLimits):
     def knob(self, i: int, **others: Any) -> RigFile:
         """Return the rig file of one knob alone, with ``others`` changed."""
         fields_of = [Source(c.topic, (path,)) for c in self.commands for path in c.fields]
-        return super().knob(i, **{"command": str(fields_of[i]), **others})
+        own = {"command": str(fields_of[i]), "constraint": "" if self.lines else self.constraint}
+        return super().knob(i, **{**own, **others})
+
+    def room(self, i: int, theta: Sequence[float]) -> tuple[float, float]:
+        """Return the limits that lines leave a knob while the others are at a theta."""
+        low, high = self.each("theta_min")[i], self.each("theta_max")[i]
+        for line in self.lines:
+            if (weight := line.weights[i]) != 0.0:
+                end = theta[i] - line.excess(theta) / weight
+                low, high = (low, min(high, end)) if weight > 0.0 else (max(low, end), high)
+        return low, high
+
+    def section(self, i: int, theta: Sequence[float]) -> RigFile:
+        """Return the rig file of a knob that starts at a theta, its limits the room that it has.
+
+        Without any they are its own.
+        """
+        low, high = self.room(i, theta)
+        if low >= high:
+            low, high = self.each("theta_min")[i], self.each("theta_max")[i]
+        start, safe = (min(max(v, low), high) for v in (theta[i], self.each("theta_safe")[i]))
+        limits = {"theta_min": low, "theta_max": high, "theta_start": start, "theta_safe": safe}
+        return self.knob(i, **limits)
 
     @property
     def measured_source(self) -> Source:
@@ -85,7 +107,7 @@ class RigFile(RigLimits):
     def lifter_input(self) -> dict[str, str]:
         """The lifter's parameters that name what it hears; none where it needs none."""
         values = {"measured": "" if self.speaks_state else self.measured}
-        values["constraint"] = self.constraint
+        values["constraint"] = self.constraint if self.bounded else ""
         return {name: value for name, value in values.items() if value}
 
     @property
@@ -116,6 +138,15 @@ class RigFile(RigLimits):
     def theta_at(self, u: ArrayLike) -> tuple[float, ...]:
         """Return theta of each knob at positions, shape (n,)."""
         return tuple(map(Scale.theta_at, self.scales, np.asarray(u).tolist()))
+
+    @property
+    def theta_lines(self) -> str:
+        """The lines between knobs as the controller's parameter ``constraint``."""
+        return "; ".join(
+            " ".join(f"{a:+.15g} theta[{i}]" for i, a in enumerate(line.weights) if a != 0.0)
+            + f" <= {line.bound:.15g}"
+            for line in self.lines
+        )
 
     def spell(self, name: str, spec: str = "g") -> str:
         """Return a parameter of each knob in words."""

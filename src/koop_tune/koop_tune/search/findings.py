@@ -222,7 +222,8 @@ def _doubt(static_map: StaticMap) -> str:
 def _at_bound(findings: Findings, rig: RigFile, end: float) -> str:
     return (
         f"the amplitude of {findings.name} is best at {findings.scale.theta_at(end):.4g}, where "
-        f"the constraint {rig.constraint} ends theta's range: theta will stay near it"
+        f"the constraint {rig.constraint or 'between knobs'} ends theta's range: theta will stay "
+        "near it"
     )
 
 

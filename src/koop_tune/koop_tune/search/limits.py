@@ -65,7 +65,7 @@ def limit_theta(
     best, valley = static_map.best(), static_map.valley(settings.limits)
     least = max(settings.least_room, 0.1 * valley.width)
     for end, side in ((0, -1), (1, 1)):
-        if safe is not None and safe.ends(upper=not end):
+        if safe is not None and not safe.fixed and safe.ends(upper=not end):
             continue
         edge = valley[end]
         cliff = static_map.cliff(side)

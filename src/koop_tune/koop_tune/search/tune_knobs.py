@@ -50,8 +50,8 @@ class KnobsTuning:
         That of the section on which the constants were searched.
     tuning : Tuning
         The search.
-    sections : dict of int to StaticMap
-        Map over each knob that has an effect, through the best.
+    sections, rigs : dict of int to StaticMap and RigFile
+        Map over each knob that has an effect, through the best, and the rig with it alone there.
     limits : list of ThetaLimits
         Of each knob; of one without effect, close around its start.
     esc : EscConfig
@@ -62,6 +62,7 @@ class KnobsTuning:
     knob: int
     tuning: Tuning
     sections: dict[int, StaticMap]
+    rigs: dict[int, RigFile]
     limits: list[ThetaLimits]
     esc: EscConfig
 
@@ -70,7 +71,7 @@ class KnobsTuning:
         """Return that of a rig with one knob."""
         findings = tuning.findings
         esc = make_esc(tuning.task, tuning.best.constants, rig.theta_safe)
-        return cls(rig, 0, tuning, {0: findings.static_map}, [findings.limits], esc)
+        return cls(rig, 0, tuning, {0: findings.static_map}, {0: rig}, [findings.limits], esc)
 
     @property
     def prediction(self) -> Prediction:
@@ -127,14 +128,16 @@ def tune_knobs(
     if amplitude is None or not lines:
         raise NoOptimum("flat", "no section of the map over any knob is known: record with "
                         "'koop excite', until it says that the map is known")  # fmt: skip
+    rigs = {k: rig.section(k, rig.theta_at(line)) for k, line in lines.items()}
+    safe_of = {k: _find_safe(rig.knob(k), rigs[k]) for k in rigs}
     parts = {k: cut_section(loaded, rig, k, line) for k, line in lines.items()}
     dwells = {
-        k: find_dwells(part, rig.knob(k).scale, amplitude, rig.sense) for k, part in parts.items()
+        k: find_dwells(part, rigs[k].scale, amplitude, rig.sense) for k, part in parts.items()
     }
     sections = {k: d.static_map(d.logs, rig.sense) for k, d in dwells.items()}
     knob = max(sections, key=lambda k: sections[k].evidence)
     try:
-        tuning = tune(parts[knob], rig.knob(knob), training, amplitude, settings, report)
+        tuning = tune(parts[knob], rigs[knob], training, amplitude, settings, report, safe_of[knob])
     except NoOptimum as no:
         text = f"over {rig.knob_names[knob]}, which shows the optimum best, {no}"
         raise NoOptimum(no.kind, text, no.findings, knob) from None
@@ -143,11 +146,25 @@ def tune_knobs(
             _refuse_astray(tuning, parts[k], dwells[k], sections[k], rig.knob_names[k], settings)
     sections[knob] = tuning.findings.static_map
     limits = [
-        limit_theta(sections[k], rig.knob(k), settings) if k in sections else _rest(rig.knob(k))
+        limit_theta(sections[k], rigs[k], settings) if k in sections else _rest(rig.knob(k))
         for k in range(rig.count)
     ]
     limits[knob] = tuning.findings.limits
-    return KnobsTuning(rig, knob, tuning, sections, limits, _make_esc(tuning, rig, knob, limits))
+    ends = np.array([limit[:2] for limit in limits])
+    for k, one in rigs.items():  # along a line between knobs theta may go on
+        if limits[k].low == one.theta_min:
+            limits[k] = limits[k]._replace(low=rig.each("theta_min")[k])
+        if limits[k].high == one.theta_max:
+            limits[k] = limits[k]._replace(high=rig.each("theta_max")[k])
+    esc = _make_esc(tuning, rig, knob, ends, limits)
+    return KnobsTuning(rig, knob, tuning, sections, rigs, limits, esc)
+
+
+def _find_safe(whole: RigFile, part: RigFile) -> SafeRange | None:
+    """Return what lines between knobs leave of a knob's limits; None: all."""
+    cut = part.theta_min > whole.theta_min, part.theta_max < whole.theta_max
+    ends = part.theta_min, part.theta_max
+    return SafeRange(ends, (1.0, 1.0), *ends, *cut, True) if any(cut) else None
 
 
 def cut_section(loaded: Loaded, rig: RigFile, knob: int, line: Array) -> Loaded:
@@ -191,12 +208,14 @@ def _rest(rig: RigFile) -> ThetaLimits:
     return ThetaLimits(*ends, "it has no effect", "it has no effect")
 
 
-def _make_esc(tuning: Tuning, rig: RigFile, knob: int, limits: list[ThetaLimits]) -> EscConfig:
-    """Return the controller: each knob crosses the way between its limits in the same time."""
+def _make_esc(
+    tuning: Tuning, rig: RigFile, knob: int, ends: Array, limits: list[ThetaLimits]
+) -> EscConfig:
+    """Return the controller: each knob crosses the way between its ends in the same time."""
     task, constants = tuning.task, tuning.best.constants
     knobs = rig.knobs()
-    logarithmic = all(one.scale.logarithmic for one in knobs)
-    ends = np.array([(limit.low, limit.high) for limit in limits])
+    ratios = all(line.as_ratio() is not None for line in rig.lines)
+    logarithmic = ratios and all(one.scale.logarithmic for one in knobs)
     ways = np.diff(np.log(ends) if logarithmic else ends)[:, 0]
     rates = [one.theta_rate / (one.theta_max if logarithmic else 1.0) for one in knobs]
     low, high = task.scale.u(ends[knob])
@@ -211,4 +230,5 @@ def _make_esc(tuning: Tuning, rig: RigFile, knob: int, limits: list[ThetaLimits]
     }
     each = {name: tuple(values) for name, values in each.items()}
     each |= {"theta_scale": "log" if logarithmic else "linear", "widest": ()}
+    each["constraint"] = rig.theta_lines
     return replace(make_esc(task, constants, task.low), **each)
