@@ -49,6 +49,10 @@ class KnobsSettings(Settings):
     least: float = judged(0.03, "distance of these, at least, in ranges", low=1e-3, high=0.5)
     most: float = judged(0.3, "the same at most", low=1e-3, high=0.5)
     same: float = judged(0.004, "distance of two holds at one place, in ranges", low=0.0)
+    room: float = judged(
+        0.15, "section that lines between knobs leave, at least, in ranges", low=0.0
+    )
+    spread: int = judged(5, "positions over one that is too short for those beside the best", low=5)
     gap: float = judged(0.2, "widest gap between two holds of a section, in ranges", low=0.0)
 
 
@@ -247,6 +251,8 @@ class KnobsDesign:
             on[-1].u, on[-1].confirms = self._on(u), False
         if first is not None:
             first = list(dict.fromkeys(self._on(np.full(self.base.size, u)) for u in first))
+            if len(first) < 4 and self._part.span < self.rig.knob(knob).span:
+                first = np.linspace(0.0, 1.0, KNOBS.spread).tolist()
         self._begin(on, first)
         choose = self._design.next if whole else self._design.next_first
         while (move := choose()) is not None:
@@ -272,7 +278,7 @@ class KnobsDesign:
         for share in np.linspace(0.0, 1.0, 33) if rig.lines else ():
             place = theta + share * (rig.each("theta_safe") - theta)
             low, high = rig.room(knob, place.tolist())
-            if high - low >= KNOBS.least * rig.knob(knob).span:
+            if high - low >= KNOBS.room * rig.knob(knob).span:
                 return rig.u(place) if share else self.base
         return self.base
 

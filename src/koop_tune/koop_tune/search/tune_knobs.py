@@ -135,7 +135,8 @@ def tune_knobs(
         k: find_dwells(part, rigs[k].scale, amplitude, rig.sense) for k, part in parts.items()
     }
     sections = {k: d.static_map(d.logs, rig.sense) for k, d in dwells.items()}
-    knob = max(sections, key=lambda k: sections[k].evidence)
+    change = {k: float(np.ptp(section.mean)) for k, section in sections.items()}
+    knob = max(sections, key=lambda k: (change[k] >= settings.slight, sections[k].evidence))
     try:
         tuning = tune(parts[knob], rigs[knob], training, amplitude, settings, report, safe_of[knob])
     except NoOptimum as no:
@@ -156,6 +157,10 @@ def tune_knobs(
             limits[k] = limits[k]._replace(low=rig.each("theta_min")[k])
         if limits[k].high == one.theta_max:
             limits[k] = limits[k]._replace(high=rig.each("theta_max")[k])
+    places = np.array([rig.theta_at(line) for line in lines.values()])
+    for k, limit in enumerate(limits) if rig.lines else ():  # which keep the lines
+        low, high = min(limit.low, *places[:, k]), max(limit.high, *places[:, k])
+        limits[k] = limit._replace(low=float(low), high=float(high))
     esc = _make_esc(tuning, rig, knob, ends, limits)
     return KnobsTuning(rig, knob, tuning, sections, rigs, limits, esc)
 
