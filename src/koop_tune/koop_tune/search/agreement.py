@@ -203,12 +203,13 @@ def find_disagreements(aim: Aim, run: Measured, allowance: float = 1.0) -> list[
     """Return the figures that are worse than predicted, in words.
 
     A prediction that allows almost anything is not confirmed by anything. The bands are widened by
-    a share of the allowance for errors of the measurement; 0: what lies outside of the bands.
+    a share of the allowance for errors of the measurement; 0: what lies outside of the bands. The
+    time to converge is measured as the end of a mean of some windows.
     """
     p, s, worse = aim.predicted, aim.settings, []
     widened = math.exp(allowance * s.errors * run.error)
     late, took = p.converges.high, run.time_to_converge
-    limit = late + allowance * ((s.later - 1.0) * late + s.smoothed * aim.window)
+    limit = (1.0 + allowance * (s.later - 1.0)) * late + s.smoothed * aim.window
     if (math.inf if took is None else took) > limit:
         outcome = "did not converge" if took is None else f"took {took:.4g} s to converge"
         worse.append(f"{outcome}, at most {late:.4g} s were predicted")
