@@ -130,6 +130,16 @@ def test_a_knob_without_effect_is_left_at_its_start():
     assert all(move.u[0] == design.base[0] for move in moves[2 * (2 * DESIGN.first - 1) :])
 
 
+def test_a_knob_that_is_as_good_where_it_is_stays_there_and_no_section_is_gone_over_again():
+    rig = SimulatedKnobs(lambda u: 3.0 * (u[0] - 0.4) ** 2 + 0.3 * (u[1] - 0.75) ** 2)
+    design, moves = run(KnobsDesign(KNOBS), rig)
+    assert (design.ended, list(design.sections)) == (KNOWN, [0, 1])
+    assert design.base[1] == pytest.approx(START[1])
+    assert all(design.lines[0] == design.base)
+    first = 2 * DESIGN.first - 1
+    assert sum(move.u[0] in (0.0, 1.0) for move in moves[first:]) <= 2
+
+
 def test_where_no_knob_has_an_effect_that_is_said():
     design, _ = run(KnobsDesign(KNOBS), SimulatedKnobs(lambda u: 0.0))
     assert design.ended == FLAT

@@ -235,7 +235,8 @@ class Design:
             self._patience *= 2.0
             self._check_lag = True
             self._begin_again(self.windows.length)
-        return Move(self._queue[0], why="over the range") if self._queue else None
+        why = "over the range" if self._first is None else "on both sides of the best"
+        return Move(self._queue[0], why=why) if self._queue else None
 
     def _choose_move(self) -> Move | None:
         s = self._settings

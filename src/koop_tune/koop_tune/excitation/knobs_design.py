@@ -41,7 +41,7 @@ class KnobsSettings(Settings):
     """When the coupling of knobs is known."""
 
     gain: float = judged(
-        0.1, "log amplitude that the bowl's least must gain to be held at", low=0.0
+        0.1, "log amplitude that a place must gain to be held at, or to be the base", low=0.0
     )
     steps: int = judged(4, "holds at it for each knob, at most", low=1)
     cycles: int = judged(2, "times that the sections are found out, at most", low=1)
@@ -316,12 +316,18 @@ class KnobsDesign:
         return np.array([u for _, u in self.held]), y, np.array([level.error for level in levels])
 
     def _move_base(self) -> None:
-        """Make the best hold the base; knobs without effect rest at their start."""
+        """Make the best hold the base; knobs without effect rest at their start.
+
+        Where it gains little the base stays: sections through it are known.
+        """
         self._done, self._design.holds = self.held, []
         if self.amplitude is not None:
             u, y, error = self._table()
             useful = np.isin(np.arange(self.base.size), self._useful)
-            self.base = self._keep(np.where(useful, u[np.argmin(y + error)], self._start))
+            best, here = int(np.argmin(y + error)), np.abs(u - self.base).max(axis=1) <= KNOBS.same
+            if y[here].min(initial=math.inf) > y[best] + KNOBS.gain:
+                self.base = u[best]
+            self.base = self._keep(np.where(useful, self.base, self._start))
 
     def _beside(self, ways: dict[int, float]) -> Array:
         """Return a place away from the base along some knobs, towards the middle of the range."""
