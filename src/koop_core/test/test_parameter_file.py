@@ -122,7 +122,9 @@ def test_what_is_not_a_parameter_file_is_refused(tmp_path, text, message):
 def test_written_values_are_read_in_any_namespace(tmp_path):
     file = tmp_path / "params.yaml"
     values = {"gain": 1e-7, "name": "on", "list": [1.0, 2.0], "flag": True, "text": "1e3"}
+    values["again"] = values["list"]
     write({"node": values}, file)
+    assert "&" not in file.read_text()  # rcl refuses aliases
     assert read(file).values("/some/where/node", set()) == values
 
 

@@ -272,7 +272,10 @@ def _merge(merged: dict[Any, Any], more: dict[Any, Any]) -> None:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes a text that rcl would take for a number, such as 1e3."""
+    """Quotes a text that rcl would take for a number, such as 1e3; repeats equal lists."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True  # rcl refuses them
 
 
 _WORDS = "|".join(form for word in ("y", "yes", "true", "on", "n", "no", "false", "off")
