@@ -80,7 +80,7 @@ def test_the_roll_rate_has_a_smallest_value_a_cliff_beyond_it_and_moves_with_the
     from flight import STEP, Flight
 
     def roll_rate(theta, throttle=0.7):
-        flight = Flight(Namespace(theta_initial=theta, seed=1, turbulence=3.0, noise=0.0, at=[]))
+        flight = Flight(Namespace(theta_initial=[theta], seed=1, turbulence=3.0, noise=0.0, at=[]))
         flight.set("throttle", throttle)
         rates = []
         for k in range(round(60.0 / STEP)):
@@ -110,8 +110,14 @@ def test_a_change_without_a_time_is_a_line():
     assert "'throttle=1': write T:NAME=VALUE" in done.stderr.splitlines()[-1]
 
 
-def test_a_scenario_with_an_aircraft_is_skipped_where_there_is_none(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "jsbsim", None)
-    verdict = run(read(find("rig-jsbsim-gusts")), tmp_path)
-    assert verdict.skipped.startswith("JSBSim is not installed: pip install")
+@pytest.mark.parametrize(
+    ("scenario", "package", "name"),
+    [("rig-jsbsim-gusts", "jsbsim", "JSBSim"), ("rig-inverter", "dpsimpy", "DPsim")],
+)
+def test_a_scenario_is_skipped_without_the_plant_of_others(
+    scenario, package, name, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    verdict = run(read(find(scenario)), tmp_path)
+    assert verdict.skipped.startswith(f"{name} is not installed: pip install")
     assert not verdict.passed

@@ -143,12 +143,12 @@ class Processes:
             return [*ros, *(w for t, to in topics.items() for w in ("-r", f"{t}:={to}"))], None
         options = {
             "scale": setting.time_scale,
-            "theta-initial": setting.theta_initial,
             "readers": 2,  # the recorder and the lifter
             "seed": setting.seed,
             **topics,
         }
         words = [f"--{key}={value}" for key, value in options.items()]
+        words += ["--theta-initial", *map(str, setting.each("theta_initial"))]
         words += ["--truth", *shlex.split(setting.rig_options)]
         program = [sys.executable, str(installed("rigs") / "rig.py")]
         return [setting.plant, "--until-eof", *words], program

@@ -27,6 +27,7 @@ from koop_node.process.ending import end_process
 from koop_node.process.lifeline import end_with_parent
 
 VERDICT, SCENARIO = "verdict.json", "scenario.pickle"
+PACKAGES = {"jsbsim": ("jsbsim", "JSBSim"), "inverter": ("dpsimpy", "DPsim")}  # of others
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 BAR = "{desc:<24} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -39,8 +40,9 @@ def run(scenario: Scenario, folder: Path) -> Verdict:
     if (folder / "bag").exists():
         raise ConfigError(f"{folder} holds a recording already: choose another --out")
     folder.mkdir(parents=True, exist_ok=True)
-    if scenario.setting.plant == "jsbsim" and find_spec("jsbsim") is None:
-        why = f"JSBSim is not installed: {INSTALL}"
+    package, name = PACKAGES.get(scenario.setting.plant, ("sys", ""))
+    if find_spec(package) is None:
+        why = f"{name} is not installed: {INSTALL}"
         return Verdict(scenario.name, scenario.setting.description, [], skipped=why)
     verdict = (_run_isolated if scenario.setting.remote else run_here)(scenario, folder)
     _write(verdict, folder)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from koop_core.config import objects
 from koop_core.config.fields import parse_source
+from koop_core.config.knobs import KnobSettings
 from koop_core.config.parameter import ConfigError, Settings, mapping, parameter, refuse_unknown
 from koop_core.config.yaml_file import read_yaml
 from koop_hil import installed
@@ -20,7 +21,7 @@ from koop_loop import parameters
 from vdp_plant.config import PlantConfig
 
 NO_LIMIT = 1e9
-RIGS = ("galloping", "other", "paper", "jsbsim")  # of koop_hil/rigs
+RIGS = ("galloping", "inverter", "jsbsim", "other", "paper")  # of koop_hil/rigs
 
 
 @dataclass(frozen=True)
@@ -69,20 +70,24 @@ class Limits(Settings):
 
 
 @dataclass(frozen=True)
-class Setting(Settings):
+class Setting(KnobSettings):
     """Plant and speed of a scenario."""
 
     description: str = parameter("", "purpose of the scenario")
     plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig (koop_hil/rigs)")
     rig_options: str = parameter("", "further options of the rig, such as --at 60:throttle=1")
-    theta_star: float = parameter(-3.0, "optimal theta, at the end", low=-1e3, high=1e3)
+    theta_star: float = parameter(
+        -3.0, "optimal theta, at the end", low=-1e3, high=1e3, per_knob=True
+    )
     time_scale: float = parameter(
         1.0, "simulated per real time; 1 is real time", low=0.01, high=100.0
     )
     duration: float = parameter(
         60.0, "simulated time from the first state", unit="s", low=1.0, high=1e5
     )
-    theta_initial: float = parameter(2.0, "theta at the start", low=-100.0, high=100.0)
+    theta_initial: float = parameter(
+        2.0, "theta at the start", low=-100.0, high=100.0, per_knob=True
+    )
     model: str = parameter("", "model file, relative to the scenario; empty: the shipped one")
     seed: int = parameter(0, "seed of the plant", low=0, high=2**31 - 1)
     remote: str = parameter("", "what runs on another host; empty: nothing", choices=("", *NODES))
@@ -123,10 +128,14 @@ class Scenario:
         return float(self.parameters.get("koopman_lifter", {}).get("dt", PlantConfig().dt))
 
     def off(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far theta is from its optimum, in Np where the law seeks in ln theta."""
-        best = self.setting.theta_star
+        """Return how far each theta, shape (M, n), is from its optimum; of the worst knob, (M,).
+
+        In Np where the law seeks in ln theta.
+        """
+        best = np.array(self.setting.each("theta_star"))
         logarithmic = self.parameters.get("relay_esc", {}).get("theta_scale") == "log"
-        return np.log(theta / best) if logarithmic else theta - best
+        way = np.log(theta / best) if logarithmic else theta - best
+        return np.asarray(np.abs(way).max(axis=1))
 
 
 def shipped() -> list[Path]:
@@ -171,7 +180,9 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     limits = objects.parse(Limits, top.get("limits", {}), "limits")
     sections = mapping(top.get("parameters", {}), "parameters")
     by_node = {str(node): mapping(values, str(node)) for node, values in sections.items()}
-    parameters.build({node: by_node[node] for node in CONTROLLER if node in by_node})
+    setting = Setting(**settings)
+    begin = {"theta_initial": setting.theta_initial, **by_node.get("relay_esc", {})}
+    parameters.build({node: by_node.get(node, {}) for node in CONTROLLER} | {"relay_esc": begin})
     events = top.get("events", [])
     if not isinstance(events, list):
         raise ConfigError("events must be a list")
@@ -179,7 +190,6 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     for node, level in levels.items():
         if level not in ("WARN", "ERROR", "STALE"):
             raise ConfigError(f"levels: {node} must be WARN, ERROR or STALE")
-    setting = Setting(**settings)
     if setting.plant not in (plants := ("vdp_plant", *RIGS)):
         raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(plants)}")
     if setting.rig_options and setting.plant == "vdp_plant":

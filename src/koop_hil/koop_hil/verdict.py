@@ -21,7 +21,7 @@ FIELDS = {
     "state": ["step", "publish_time"],
     "cost": ["step"],
     "theta": ["step"],
-    "ground_truth": ["step", "log_time", "publish_time", "theta_applied[0]", "theta_step"],
+    "ground_truth": ["step", "log_time", "publish_time", "theta_step"],
 }
 LIMITED = ("tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answer_age")
 
@@ -117,7 +117,8 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     for log in sorted((bag.parent / "logs").glob("*.log")):
         if "Traceback" in log.read_text(errors="replace"):
             verdict.failures.append(f"{log.name} holds a traceback")
-    recorded = _read(bag, verdict)
+    applied = [f"theta_applied[{i}]" for i in range(scenario.setting.count)]
+    recorded = _read(bag, verdict, applied)
     for name in ("state", "cost", "theta"):
         if name not in recorded:
             verdict.failures.append(f"nothing was recorded on '{name}'")
@@ -128,7 +129,7 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
         for question, answer in (("state", "cost"), ("cost", "theta"))
     )
     verdict.answer_age = age_acting(recorded["state"], recorded["ground_truth"])
-    _judge_theta(scenario, record, recorded["ground_truth"], verdict)
+    _judge_theta(scenario, record, recorded["ground_truth"], applied, verdict)
     for figure in LIMITED:
         value, limit = getattr(verdict, figure), getattr(scenario.limits, figure)
         if value > limit or (math.isnan(value) and limit < NO_LIMIT):
@@ -137,17 +138,19 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
 
 
 def _judge_theta(
-    scenario: Scenario, record: RunRecord, ground_truth: Columns, verdict: Verdict
-) -> None:
+    scenario: Scenario, record: RunRecord, ground_truth: Columns, applied: list[str],
+    verdict: Verdict,
+) -> None:  # fmt: skip
     """Fill in how far from the optimum the theta was that acted on the plant."""
     stamps = ground_truth["log_time"].astype(np.int64)
     inside = (stamps >= record.begin) & (stamps <= record.end)
-    stamps, theta = stamps[inside], ground_truth["theta_applied[0]"][inside]
+    stamps = stamps[inside]
+    theta = np.stack([ground_truth[name][inside] for name in applied], axis=1)
     verdict.simulated = float(stamps.size * scenario.dt)
     if verdict.simulated < scenario.limits.covered * verdict.duration:
         verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")
         return
-    error = np.abs(scenario.off(theta))
+    error = scenario.off(theta)
     verdict.tail_error = float(error[-max(1, round(METRICS.tail * error.size)) :].mean())
     after = stamps >= record.first
     out = after & (error > scenario.limits.error_limit)
@@ -155,13 +158,13 @@ def _judge_theta(
     verdict.max_error = float(error[after].max(initial=0.0))
 
 
-def _read(bag: Path, verdict: Verdict) -> dict[str, Columns]:
+def _read(bag: Path, verdict: Verdict, applied: list[str]) -> dict[str, Columns]:
     """Return what is judged of every topic that was recorded."""
     topics = {f"/{name}": name for name in FIELDS}
     with BagReader(bag) as reader:
         verdict.messages = {topic.name: topic.count for topic in reader.topics}
         wanted = {
-            topic: FIELDS[name]
+            topic: FIELDS[name] + applied * (name == "ground_truth")
             for topic, name in topics.items()
             if verdict.messages.get(topic) or name == "ground_truth"
         }

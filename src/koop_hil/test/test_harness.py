@@ -128,8 +128,8 @@ def test_a_rig_of_standard_messages_says_what_it_does_by_the_parameters(tmp_path
     assert rig[-len(split := scenario.setting.rig_options.split()) :] == split
     assert scenario.dt == pytest.approx(1 / 120, rel=1e-4)
     best = scenario.setting.theta_star
-    assert scenario.off(best * np.array([1.0, math.e])) == pytest.approx([0.0, 1.0])  # in Np
-    assert read(find("rig-paper")).off(np.array([-3.0, 1.0])) == pytest.approx([0.0, 4.0])
+    assert scenario.off(best * np.array([[1.0], [math.e]])) == pytest.approx([0.0, 1.0])  # in Np
+    assert read(find("rig-paper")).off(np.array([[-3.0], [1.0]])) == pytest.approx([0.0, 4.0])
 
 
 def test_the_rigs_that_a_scenario_may_name_are_those_of_the_program():

@@ -13,7 +13,7 @@ import math
 import random
 from typing import Any
 
-from stand import Actuation, SimulatedRig, parse_rig
+from stand import Actuation, SimulatedRig, parse_rig, start
 
 DT, STEPS = 0.02, 4  # between two samples [s]; steps of the integration within
 OMEGA = 2.0 * math.pi * 1.1  # of the structure alone [rad/s]
@@ -40,8 +40,7 @@ class Absorber(SimulatedRig):
     dt, message, topics = DT, "JointState", ("structure", "absorber")
 
     def __init__(self, args: argparse.Namespace) -> None:
-        start = 0.7 if args.theta_initial is None else args.theta_initial
-        self.actuation = Actuation(start, 0.5, 1.6, delay=0.1, rate=0.1)
+        self.actuations = [Actuation(*start(args, 0.7), 0.5, 1.6, delay=0.1, rate=0.1)]
         self._state = (LIMIT, 0.0, 0.0, 0.0)
         self._random = random.Random(args.seed + 1)  # not the sensors' numbers again
 

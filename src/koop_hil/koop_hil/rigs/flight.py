@@ -14,7 +14,7 @@ import os
 import random
 from typing import Any
 
-from stand import Actuation, parse_rig
+from stand import Actuation, parse_rig, start
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 STEP = 1.0 / 120.0  # [s]
@@ -60,9 +60,7 @@ class Flight:
             import jsbsim
         except ImportError as error:
             raise ValueError(f"{error}: {INSTALL}") from None
-        self.actuation = Actuation(
-            START if args.theta_initial is None else args.theta_initial, LOW, HIGH
-        )
+        self.actuations = [Actuation(*start(args, START), LOW, HIGH)]
         self._noise = args.noise
         self._fdm = fdm = jsbsim.FGFDMExec(None)
         fdm.set_debug_level(0)
@@ -81,7 +79,7 @@ class Flight:
             fdm[name] = value
         self.set("turbulence", args.turbulence)
         for _ in range(round(BEFORE / STEP)):
-            self.advance(0.0, self.actuation.start)
+            self.advance(0.0, self.actuations[0].start)
 
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], list[float]]:
         """Return rates [rad/s] and accelerations [m/s2]; the true rates and the airspeed [kt]."""

@@ -1,9 +1,9 @@
 """A grid-following inverter on a weak line, by DPsim: noise of the grid shakes its power.
 
 Theta is the proportional gain of its power loop: too little lets the power swing slowly, too much
-excites a fast mode. The phase-locked loop's, ``kp_pll``, is a second knob; the two are coupled. The
-other gains are of DPsim's 400 V, 10 kVA example, whose line is shorter. ``--at`` sets ``p_ref``
-[W], which moves the optimum, or ``kp_pll``.
+excites a fast mode. That of the phase-locked loop, ``kp_pll``, is a second knob; the two are
+coupled. The other gains are of DPsim's 400 V, 10 kVA example, whose line is shorter. ``--at`` sets
+``p_ref`` [W], which moves the optimum.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import random
 import tempfile
 from typing import Any
 
-from stand import Actuation, parse_rig
+from stand import Actuation, parse_rig, start
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 DT, STEPS = 1e-3, 5  # between two samples [s]; DPsim's steps within: another number, another plant
@@ -46,14 +46,12 @@ class Inverter:
             raise ValueError(f"{error}: {INSTALL}") from None
         self._dp = dpsimpy
         dpsimpy.Logger.set_log_dir(tempfile.gettempdir())  # not in the folder of the caller
-        self.actuation = Actuation(
-            0.06 if args.theta_initial is None else args.theta_initial, 0.04, 0.23
-        )
-        self._values = {"kp_power": self.actuation.start, "kp_pll": 0.16, "p_ref": POWER}
+        self._theta, self._power = tuple(start(args, 0.06, 0.16)), POWER
+        strokes = zip(self._theta, (0.04, 0.06), (0.23, 0.4), strict=True)
+        self.actuations = [Actuation(*stroke) for stroke in strokes]
         for item in args.at:
-            if item.name not in self._values:
-                names = ", ".join(self._values)
-                raise ValueError(f"--at: inverter has no {item.name!r}; there is {names}")
+            if item.name != "p_ref":
+                raise ValueError(f"--at: inverter has no {item.name!r}; there is p_ref")
         self._random, self._grid = random.Random(args.seed + 1), [0.0, 0.0]
         self._build()
 
@@ -97,8 +95,8 @@ class Inverter:
         self._powers = [self._inverter.attr(name) for name in ("p_inst", "q_inst")]
 
     def _set_parameters(self) -> None:
-        kp, kp_pll, power = self._values["kp_power"], self._values["kp_pll"], self._values["p_ref"]
-        self._inverter.set_parameters(OMEGA, VOLTAGE, power, 0.0)
+        kp, kp_pll = self._theta
+        self._inverter.set_parameters(OMEGA, VOLTAGE, self._power, 0.0)
         self._inverter.set_controller_parameters(kp_pll, 0.2, kp, 0.2, 0.25, 1.0, OMEGA)
 
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], list[float]]:
@@ -106,9 +104,11 @@ class Inverter:
         powers = [power.get() / 1e3 for power in self._powers]
         return [power + rng.gauss(0.0, NOISE) for power in powers], powers
 
-    def advance(self, t: float, theta: float) -> None:
+    def advance(self, t: float, *theta: float) -> None:
         """Go on by one sample."""
-        self.set("kp_power", theta)
+        if theta != self._theta:
+            self._theta = theta
+            self._set_parameters()
         for i, (size, memory) in enumerate(GRID):  # Ornstein-Uhlenbeck processes
             kept = math.exp(-DT / memory)
             push = size * math.sqrt(1.0 - kept**2) * self._random.gauss(0.0, 1.0)
@@ -118,14 +118,13 @@ class Inverter:
         for _ in range(STEPS):
             self._simulation.next()
         if not all(abs(power.get()) < TRIP for power in self._powers):  # nor a number
-            print(f"t = {t:g} s, theta = {theta:g}: tripped, replaced by a new one", flush=True)
+            print(f"t = {t:g} s, theta = {theta}: tripped, replaced by a new one", flush=True)
             self._build()
 
     def set(self, name: str, value: float) -> None:
-        """Set a gain or the reference power."""
-        if self._values[name] != value:
-            self._values[name] = value
-            self._set_parameters()
+        """Set the reference power, the only thing that has a name."""
+        self._power = value
+        self._set_parameters()
 
 
 def register(rigs: Any) -> None:

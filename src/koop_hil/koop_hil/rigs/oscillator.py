@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from stand import Actuation, SimulatedRig, parse_rig
+from stand import Actuation, SimulatedRig, parse_rig, start
 
 DT = 0.005  # [s]
 START, STROKE = 2.0, 5.0  # of theta
@@ -138,8 +138,7 @@ class Oscillator(SimulatedRig):
         self._x = self._physics.start
         self._age = {"shift": 0.0, "mode": 1.0, "disturbance": 1.0}
         self._ahead = {"mode": 0.0, "disturbance": 0.0}  # of the time, for it went faster [s]
-        start = START if args.theta_initial is None else args.theta_initial
-        self.actuation = Actuation(start, -STROKE, STROKE, DELAY, RATE)
+        self.actuations = [Actuation(*start(args, START), -STROKE, STROKE, DELAY, RATE)]
 
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], State]:
         """Return what the sensors say at a time [s], and the true state."""

@@ -23,30 +23,34 @@ PARTS = 10  # of a recording
 class Log:
     """Writes a line for every second of the rig's time.
 
-    Columns: time of the day [s], the rig's own time [s], mean of theta, then mean and standard
-    deviation of each number of the true state.
+    Columns: time of the day [s], the rig's own time [s], mean of each knob, then mean and standard
+    deviation of each number of the true state. The first line names those before these.
     """
 
-    def __init__(self, path: str, dt: float, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, path: str, dt: float, knobs: Sequence[str], clock: Callable[[], float] = time.time
+    ) -> None:
         self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  open to the end, by lines
-        self._count, self._clock = round(1.0 / dt), clock
+        self._file.write("#clock,time," + ",".join(knobs) + "\n")
+        self._count, self._clock, self._knobs = round(1.0 / dt), clock, len(knobs)
         self._samples: list[tuple[float, ...]] = []
 
-    def add(self, t: float, theta: float, truth: Sequence[float]) -> None:
+    def add(self, t: float, theta: Sequence[float], truth: Sequence[float]) -> None:
         """Take a sample."""
-        self._samples.append((theta, *truth))
+        self._samples.append((*theta, *truth))
         if len(self._samples) < self._count:
             return
         samples = np.array(self._samples)
-        moments = np.stack([samples.mean(axis=0), samples.std(axis=0)], axis=1).ravel()
+        moments = np.stack([samples.mean(axis=0), samples.std(axis=0)], axis=1)
+        values = [*moments[: self._knobs, 0], *moments[self._knobs :].ravel()]
         self._samples.clear()
-        self._file.write(f"{self._clock():.3f},{t:.3f},{moments[0]:.6g}")
-        self._file.write("".join(f",{value:.6g}" for value in moments[2:]) + "\n")
+        self._file.write(f"{self._clock():.3f},{t:.3f}")
+        self._file.write("".join(f",{value:.6g}" for value in values) + "\n")
 
 
-def amplitudes(lines: np.ndarray) -> np.ndarray:
-    """Return the true amplitudes over lines of a log: sqrt(2) times the standard deviations."""
-    means, spreads = lines[:, 3::2], lines[:, 4::2]
+def amplitudes(moments: np.ndarray) -> np.ndarray:
+    """Return the true amplitudes over lines of moments: sqrt(2) times the standard deviations."""
+    means, spreads = moments[:, ::2], moments[:, 1::2]
     return np.sqrt(2.0 * ((spreads**2).mean(axis=0) + means.var(axis=0)))
 
 
@@ -74,12 +78,15 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="with a bag")
     args = parser.parse_args(words)
     lines = np.loadtxt(args.log, delimiter=",", ndmin=2)
+    with open(args.log) as file:
+        _, _, *knobs = file.readline().split(",")
     for folder in args.folders:
-        print(f"{folder}\n   until [s]         theta          true amplitude")
+        head = "         theta      " * len(knobs)
+        print(f"{folder}\n   until [s]{head}    true amplitude")
         for part in np.array_split(during(lines, folder), PARTS):
-            theta, true = part[:, 2], amplitudes(part)
-            row = f"{part[-1, 1]:12.5g}{theta.min():10.4g} to{theta.max():7.4g}  "
-            print(row, *(f"{value:9.4g}" for value in true))
+            theta, moments = np.split(part[:, 2:], [len(knobs)], axis=1)
+            row = "".join(f"{v.min():10.4g} to{v.max():7.4g}  " for v in theta.T)
+            print(f"{part[-1, 1]:12.5g}{row}", *(f"{v:9.4g}" for v in amplitudes(moments)))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 SHORTEST = 0.02  # [s] between two looks for listeners
@@ -19,7 +19,7 @@ OLDEST = 0.5  # age of the state behind a command, beyond which it is ignored [s
 
 
 class Actuation(NamedTuple):
-    """The actuator of theta.
+    """The actuator of a knob.
 
     Attributes
     ----------
@@ -43,28 +43,27 @@ class SimulatedRig(Protocol):
     ----------
     dt : float
         Time between two samples [s].
-    actuation : Actuation
-        What moves theta.
+    actuations : sequence of Actuation
+        What moves theta, one for each knob.
     message : str
         Type of the measurements, a key of ``wire.MESSAGES``.
     topics : tuple of str
-        Topics of measurements and command, unless the command line names others; further ones, of
-        other knobs, are called as :meth:`set` knows them.
+        Topics of the measurements and of each knob, unless the command line names others.
+    advance : callable
+        ``advance(t, *theta)`` goes on by one sample; ValueError is raised if the rig breaks.
     """
 
     dt: float
-    actuation: Actuation
+    actuations: Sequence[Actuation]
     message: str
     topics: tuple[str, ...]
+    advance: Callable[..., None]
 
     def measure(self, t: float, rng: random.Random) -> tuple[Sequence[float], Sequence[float]]:
         """Return what the sensors say at a time [s], and the true state."""
 
-    def advance(self, t: float, theta: float) -> None:
-        """Go on by one sample; raise ValueError if the rig breaks."""
-
     def set(self, name: str, value: float) -> None:
-        """Set what ``--at`` or another knob's topic names; by default there is nothing."""
+        """Set what ``--at`` names; by default there is nothing."""
         raise ValueError(f"--at: this rig has no {name!r}")
 
 
@@ -95,7 +94,7 @@ def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
     from wire import Wire  # Cyclone DDS: a wrong argument is reported without it
 
     state, theta, *others = rig.topics
-    wire = Wire(args.state or state, args.theta or theta, rig.message, args.truth, others)
+    wire = Wire(args.state or state, [args.theta or theta, *others], rig.message, args.truth)
     stop: list[object] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(True))
@@ -107,13 +106,10 @@ def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
     begin, wall = time.monotonic(), time.time()
     period = rig.dt / args.scale * (1.0 + DRIFT)
     steps = round(args.duration / rig.dt) if args.duration else math.inf
-    rng, actuator, changes = (
-        random.Random(args.seed),
-        Actuator(rig.actuation, rig.dt),
-        sorted(args.at),
-    )
-    command, answered, k = rig.actuation.start, -1, 0
-    log = Log(args.log, rig.dt) if args.log else None
+    rng, changes = random.Random(args.seed), sorted(args.at)
+    actuators = [Actuator(actuation, rig.dt) for actuation in rig.actuations]
+    commands, answered, k = [actuation.start for actuation in rig.actuations], -1, 0
+    log = Log(args.log, rig.dt, rig.topics[1:]) if args.log else None
     while k < steps and not stop:
         t = k * rig.dt
         x, truth = rig.measure(t, rng)
@@ -124,20 +120,20 @@ def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
         elif late > 1.0:  # was stopped or starved: time goes on from here
             begin += late
         # the rig's own clock: its start is real time, its seconds are a little too long
-        wire.say(round((wall + t) * 1e9), k, x, truth, actuator.theta, actuator.step)
+        applied = [actuator.theta for actuator in actuators]
+        wire.say(round((wall + t) * 1e9), k, x, truth, applied, actuators[0].step)
         if log:
-            log.add(t, actuator.theta, truth)
-        for wanted, step in wire.heard():
+            log.add(t, applied, truth)
+        for knob, wanted, step in wire.heard():
             if step is None:
-                command = wanted
+                commands[knob] = wanted
             elif 0 <= k - step <= OLDEST * args.scale / rig.dt:  # not kept while a link was cut
-                command, answered = wanted, step
-        for name, value in wire.others():
-            rig.set(name, value)
+                commands[knob], answered = wanted, step
         while changes and changes[0].time <= t:
             rig.set(*changes.pop(0)[1:])
         k += 1
-        rig.advance(t, actuator.move(command, answered))
+        moves = zip(actuators, commands, strict=True)
+        rig.advance(t, *(actuator.move(command, answered) for actuator, command in moves))
     time.sleep(0.2)  # a reliable writer's last samples are still on their way
     print(f"{k} steps in {time.monotonic() - begin:.2f} s", flush=True)
 
@@ -175,8 +171,10 @@ def options() -> argparse.ArgumentParser:
     )
     parser.add_argument("--scale", type=float, default=1.0, help="simulated per real time")
     parser.add_argument("--state", default="", help="topic of the measurements")
-    parser.add_argument("--theta", default="", help="topic of the command")
-    parser.add_argument("--theta-initial", type=float)
+    parser.add_argument("--theta", default="", help="topic of the first knob's command")
+    parser.add_argument(
+        "--theta-initial", nargs="+", type=float, default=[], help="of one knob or more"
+    )
     parser.add_argument("--jitter", type=float, default=0.1, help="of every period [periods]")
     parser.add_argument("--readers", type=int, default=1, help="of the measurements to wait for")
     parser.add_argument("--seed", type=int, default=0)
@@ -186,7 +184,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--log", metavar="FILE", help="true state of every second, as CSV")
     parser.add_argument(
         "--map", nargs=3, type=float, metavar=("LOW", "HIGH", "POINTS"),
-        help="only print the true amplitudes at so many held values of theta",
+        help="only print the true amplitudes at so many held values of the first knob",
     )  # fmt: skip
     parser.add_argument("--until-eof", action="store_true", help="end when stdin is closed")
     parser.add_argument(
@@ -194,6 +192,13 @@ def options() -> argparse.ArgumentParser:
         help="at this time [s] set what the rig has of that name; repeatable",
     )  # fmt: skip
     return parser
+
+
+def start(args: argparse.Namespace, *usual: float) -> list[float]:
+    """Return theta of each knob at first: what the command line says, the rest as usual."""
+    if len(args.theta_initial) > len(usual):
+        raise ValueError(f"--theta-initial: this rig has {len(usual)} knob{'s' * (len(usual) > 1)}")
+    return [*args.theta_initial, *usual[len(args.theta_initial) :]]
 
 
 def parse_rig(rigs: Any, name: str, text: str, make: Any) -> argparse.ArgumentParser:

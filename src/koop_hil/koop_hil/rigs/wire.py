@@ -151,21 +151,18 @@ class Wire:
 
     Parameters
     ----------
-    state, theta : str
-        Topic of the measurements, and of the command.
+    state : str
+        Topic of the measurements.
+    theta : sequence of str
+        Topic of each knob.
     message : str
         Type of the measurements, a key of :data:`MESSAGES`.
     truth : bool
         Whether the true state of each sample is published, too.
-    others : sequence of str
-        Topics of other knobs, a Float64 each.
     """
 
-    def __init__(
-        self, state: str, theta: str, message: str, truth: bool, others: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, state: str, theta: Sequence[str], message: str, truth: bool) -> None:
         kind, self._made, command = MESSAGES[message]
-        command = ControlInput if theta == "theta" else command
         participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
         reliable = Policy.Reliability.Reliable(duration(seconds=1))
         kept = Qos(reliable, Policy.History.KeepLast(1000))
@@ -175,11 +172,9 @@ class Wire:
         if truth:
             topic = Topic(participant, "rt/ground_truth", PlantTruth)
             self._truths = DataWriter(participant, topic, kept)
-        self._commands = DataReader(participant, Topic(participant, "rt/" + theta, command), newest)
-        self._others = {
-            name: DataReader(participant, Topic(participant, "rt/" + name, Float64), newest)
-            for name in others
-        }
+        types = [ControlInput if name == "theta" else command for name in theta]
+        topics = [Topic(participant, f"rt/{name}", t) for name, t in zip(theta, types, strict=True)]
+        self._commands = [DataReader(participant, topic, newest) for topic in topics]
 
     @property
     def readers(self) -> int:
@@ -190,30 +185,22 @@ class Wire:
             return 0
 
     def say(
-        self, stamp: int, step: int, x: Sequence[float], truth: Sequence[float], theta: float,
-        answered: int,
+        self, stamp: int, step: int, x: Sequence[float], truth: Sequence[float],
+        theta: Sequence[float], answered: int,
     ) -> None:  # fmt: skip
         """Publish one sample with its stamp [ns], and the true state."""
         header = Header(Time(stamp // 10**9, stamp % 10**9), "rig")
         self._states.write(self._made(header, step, x))
         if self._truths is not None:
-            self._truths.write(PlantTruth(header, step, list(truth), [theta], answered, math.nan))
+            self._truths.write(PlantTruth(header, step, list(truth), theta, answered, math.nan))
 
-    def heard(self) -> list[tuple[float, int | None]]:
-        """Return the commands that came, each with the step that it answers if it says that."""
-        commands: list[tuple[float, int | None]] = []
-        for sample in self._commands.take(N=100):
-            if isinstance(sample, ControlInput) and math.isfinite(sum(sample.theta)):
-                commands.append((sample.theta[0], sample.step))
-            elif isinstance(sample, Float64) and math.isfinite(sample.data):
-                commands.append((sample.data, None))
+    def heard(self) -> list[tuple[int, float, int | None]]:
+        """Return the knobs' commands that came, and the step that each answers if it says that."""
+        commands: list[tuple[int, float, int | None]] = []
+        for knob, reader in enumerate(self._commands):
+            for sample in reader.take(N=100):
+                if isinstance(sample, ControlInput) and math.isfinite(sum(sample.theta)):
+                    commands += [(i, value, sample.step) for i, value in enumerate(sample.theta)]
+                elif isinstance(sample, Float64) and math.isfinite(sample.data):
+                    commands.append((knob, sample.data, None))
         return commands
-
-    def others(self) -> list[tuple[str, float]]:
-        """Return what came for the other knobs, each with the topic's name."""
-        return [
-            (name, sample.data)
-            for name, reader in self._others.items()
-            for sample in reader.take()
-            if isinstance(sample, Float64) and math.isfinite(sample.data)
-        ]
