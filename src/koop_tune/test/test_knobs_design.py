@@ -127,7 +127,19 @@ def test_a_knob_without_effect_is_left_at_its_start():
     assert list(design.sections) == [1]
     assert design.base[0] == pytest.approx(START[0])
     assert design.base[1] == pytest.approx(0.4, abs=0.1)
-    assert all(move.u[0] == design.base[0] for move in moves[2 * (2 * DESIGN.first - 1) :])
+    others = [move.u[0] for move in moves[2 * (2 * DESIGN.first - 1) :]]
+    away = [u for u in others if u != design.base[0]]
+    assert len(away) == 4
+    assert others[-4:] == away  # it is looked at once more, at the best
+
+
+def test_a_knob_whose_effect_shows_at_the_best_of_another_only_is_found():
+    def level(u):
+        return 6.0 * (u[1] - 0.3) ** 2 + 2.5 * math.exp(-30.0 * (u[1] - 0.3) ** 2) * u[0] ** 2
+
+    design, _ = run(KnobsDesign(KNOBS), SimulatedKnobs(level))
+    assert (design.ended, sorted(design.sections)) == (KNOWN, [0, 1])
+    assert level(design.base) < math.log(1.15)
 
 
 def test_a_knob_that_is_as_good_where_it_is_stays_there_and_no_section_is_gone_over_again():

@@ -7,7 +7,8 @@ A rig with one knob has one section. With several:
 3. Two holds to either side of each pair of knobs tell how they are coupled: at the least of the
    bowl that fits all holds (:mod:`koop_tune.excitation.bowl`) theta is held, until none is better.
 4. Through the best, each knob's section is found out as that of a rig with one knob
-   (:class:`koop_tune.excitation.design.Design`). Steps 3 and 4 are repeated while the best moves.
+   (:class:`koop_tune.excitation.design.Design`), and one without effect is gone over once more.
+   Steps 3 and 4 are repeated while the best moves.
 
 The holds grow with n^2, not exponentially. A valley off all of these lines is not found.
 """
@@ -41,13 +42,18 @@ class KnobsSettings(Settings):
     """When the coupling of knobs is known."""
 
     gain: float = judged(
-        0.1, "log amplitude that a place must gain to be held at, or to be the base", low=0.0
+        0.1,
+        "log amplitude that a place must gain to be held at or the base, or a trend to be one",
+        low=0.0,
     )
     steps: int = judged(4, "holds at it for each knob, at most", low=1)
     cycles: int = judged(2, "times that the sections are found out, at most", low=1)
     away: float = judged(2.0, "amplitude over the best beside a section's best, at first", low=1.0)
     least: float = judged(0.03, "distance of these, at least, in ranges", low=1e-3, high=0.5)
     most: float = judged(0.3, "the same at most", low=1e-3, high=0.5)
+    trend: float = judged(
+        12.0, "chi-squared that a parabola takes off what a section has about a constant", low=0.0
+    )
     same: float = judged(0.004, "distance of two holds at one place, in ranges", low=0.0)
     room: float = judged(
         0.15, "section that lines between knobs leave, at least, in ranges", low=0.0
@@ -194,6 +200,14 @@ class KnobsDesign:
             np.array([level.error for level in levels]), self.rig.sense,
         )  # fmt: skip
 
+    def _has_effect(self, knob: int) -> bool:
+        """Return whether a section shows an effect: a trend does before its scatter does."""
+        section = self.section(knob)
+        trend = np.polyval(np.polyfit(section.u, section.mean, 2, w=1.0 / section.error), section.u)
+        left = float((((section.mean - trend) / section.error) ** 2).sum())
+        sure = section.chi_squared - left > KNOBS.trend
+        return not section.flat or (sure and float(np.ptp(trend)) > KNOBS.gain)
+
     # -- where theta goes -----------------------------------------------------------------------
 
     def _plan(self) -> Iterator[KnobsMove]:
@@ -213,7 +227,7 @@ class KnobsDesign:
             self.ended = FLAT
             return
         self.sections = lines
-        self._useful = [knob for knob in knobs if not self.section(knob).flat]
+        self._useful = list(filter(self._has_effect, knobs))
         if not self._useful:
             self.ended = FLAT
             return
@@ -224,7 +238,7 @@ class KnobsDesign:
                 place = self._beside({a: way[a], b: side * way[b]})
                 yield from self._hold_at(place, "how two knobs are coupled")
         self.sections, self.lines = {}, {}
-        for _ in range(KNOBS.cycles):
+        for cycle in range(KNOBS.cycles):
             yield from self._descend()
             for knob in self._useful:
                 width = self._half_width(knob)
@@ -232,7 +246,15 @@ class KnobsDesign:
                 yield from self._along(knob, [u for u in first if 0.0 <= u <= 1.0])
                 self.sections[knob], self.lines[knob] = self._design.holds, self._through
                 self._move_base()
-            if self._least_of_bowl() is None:
+            found = [] if cycle else [knob for knob in knobs if knob not in self._useful]
+            for knob in found:  # what hid its effect may be gone at the best
+                yield from self._along(knob, np.linspace(0.0, 1.0, KNOBS.spread).tolist(), False)
+                self.sections[knob] = self._design.holds
+                if not self._has_effect(knob):
+                    del self.sections[knob]
+                self._move_base()
+            self._useful = sorted(self.sections)
+            if not set(found) & self.sections.keys() and self._least_of_bowl() is None:
                 break
         self.ended = KNOWN
 
