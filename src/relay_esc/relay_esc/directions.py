@@ -54,7 +54,8 @@ class DirectionSettings(Settings):
 DIRECTIONS = constants(DirectionSettings())
 FACTOR, DIP, SHORT, CENTRED, EPSILON = range(5)
 OWN = 5  # numbers that a direction has of its own
-ROUNDED, SWEEPS = 1e-10, 100  # share of a line's terms that counts as none; of :func:`bring_inside`
+ROUNDED = 1e-10  # share of a line's terms that counts as none
+SWEEPS = 2000  # of :func:`bring_inside`: a line that is nearly along a limit takes hundreds
 LASTING = ("base", "begin", "output", "directions", "own")  # arrays that outlast the controller
 
 

@@ -161,6 +161,18 @@ def test_the_best_within_lines_between_knobs_is_found(seed: int, scale: str) -> 
     assert float(np.sum((m @ (at - u_star)) ** 2)) + floor < 1.2 * (best.fun + floor)
 
 
+def test_theta_begins_within_a_sharp_corner_between_a_line_and_a_limit() -> None:
+    several = config(
+        theta_min=[0.0, 0.662], theta_max=[0.756, 1.0], theta_initial=[0.763, 0.944],
+        step_size=[1.2e-4, 1.7e-4], rate_limit=0.06,
+        constraint="0.9804 theta[0] >= 0.5617 + 0.1968 theta[1]",
+    )  # fmt: skip
+    base = several.initial_directions().base
+    assert 0.9804 * base[0] >= 0.5617 + 0.1968 * base[1]
+    assert 0.662 <= base[1] <= 1.0
+    assert base[0] == 0.756
+
+
 def test_a_knob_that_does_nothing_does_not_keep_the_other_from_its_optimum() -> None:
     at = seek(np.array([[0.0, 1.0]]), np.array([0.0, 0.5]), np.array([0.2, -0.8]), 6_000)
     assert abs(at[1] - 0.5) < 0.05
