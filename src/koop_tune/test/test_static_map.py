@@ -267,3 +267,13 @@ def test_a_map_that_moves_is_the_one_of_now_and_one_that_rests_stays(way):
     off, before = (np.abs(each.curve - exact)[inner].max() for each in (found, still))
     assert off < 0.2 < before
     assert found.draw(np.zeros((1, GRID)))[0] == pytest.approx(found.curve, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_which_holds_an_oscillation_that_comes_and_goes_left_quiet_is_no_motion(seed):
+    rng = np.random.default_rng(seed)
+    u = np.r_[np.linspace(0.0, 1.0, 6), np.linspace(0.9, 0.1, 5), rng.uniform(0.2, 0.8, 14)]
+    quiet = 2.5 * (rng.random(u.size) < 0.5)
+    level = 3.0 * np.hypot(0.2, u - 0.5) - quiet + rng.normal(0.0, 0.3, u.size)
+    still = StaticMap(u, level, np.full(u.size, 0.3), 1.0)
+    assert still.now(np.linspace(3.0, 8.0, u.size)) is still

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.origin import studied
 
 GRID = 1025  # points of a curve between 0 and 1
@@ -44,6 +44,7 @@ class MapSettings(Settings):
     flat: float = studied(25.0, "chi-squared about a constant of 9 holds of nothing", low=0.0)
     fastest: float = studied(1.0, "motion of the optimum from first to last hold, in ranges")
     moves: float = studied(4.0, "log likelihood that a motion must gain", low=0.0)
+    alike: float = judged(0.1, "least length scale of a map that moves, in ranges", low=0.0)
     jump: float = parameter(8.0, "factor of a cliff", low=1.0)
     cliff: float = parameter(0.5, "width of a cliff over the one of the valley beside", low=0.0)
 
@@ -99,7 +100,8 @@ class StaticMap:
     def now(self, time: Array) -> StaticMap:
         """Return the map as it is at the last of the holds' times, shape (N,).
 
-        A motion that is not beyond doubt is none.
+        A motion that is not beyond doubt is none, nor one of a map that differs from hold to hold:
+        where an oscillation comes and goes, some motion explains by chance which were quiet.
         """
         s, found = self.settings, self
         age = (time.max() - time) / max(float(np.ptp(time)), 1e-12)
@@ -111,8 +113,9 @@ class StaticMap:
             if likely.motion == found.motion:
                 break
             found = likely
-        ends = [each._log_likelihood(each._fit[0].kernel_) for each in (self, found)]
-        return found if ends[1] > ends[0] + s.moves else self
+        kernels = [each._fit[0].kernel_ for each in (self, found)]
+        gain = found._log_likelihood(kernels[1]) - self._log_likelihood(kernels[0])
+        return found if gain > s.moves and kernels[1].k1.k2.length_scale > s.alike else self
 
     def _log_likelihood(self, kernel: Any) -> float:
         """Return the logarithm of the marginal likelihood of the holds."""
