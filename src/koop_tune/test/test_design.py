@@ -21,7 +21,7 @@ from koop_tune.excitation.holds import HOLDS, Hold
 from koop_tune.excitation.static_map import MapSettings
 from koop_tune.rig.rig_file import RigFile
 
-DT, PERIOD = 0.02, 0.5
+DT, PERIOD, SLOW = 0.02, 0.5, 0.08
 COUNT = 2 * DESIGN.first - 1  # first positions, up and down
 RIG = RigFile(
     "/a:x", "/b:z", DT, -1.0, 3.0, 0.5, 0.0, 0.5, time=3000.0
@@ -47,11 +47,13 @@ class Simulated:
     """A sine of 2 Hz whose log amplitude follows level(u, side) at once, or with a time constant.
 
     Every half second its power is drawn from a gamma distribution, of a deviation ``noise`` of the
-    log amplitude; a line of 0.4 Hz, slower than the oscillation, does not react.
+    log amplitude; a line of 0.4 Hz, slower than the oscillation, does not react. An oscillation of
+    0.08 Hz may, whose amplitude is ``slow(u)``.
     """
 
-    def __init__(self, level, noise=0.05, tau=0.0, interference=0.0, sides=None, seed=0):
+    def __init__(self, level, noise=0.05, tau=0.0, interference=0.0, sides=None, seed=0, slow=None):
         self.level, self.noise, self.tau, self.line = level, noise, tau, interference
+        self.slow = slow or (lambda u: 0.0)
         self.sides, self.rng = sides, np.random.default_rng(seed)
         self.u, self.side, self.seconds = RIG.u_start, 0, 0.0
         self.value, self.drawn = self.target, np.empty(0)
@@ -76,6 +78,7 @@ class Simulated:
         self.drawn = np.r_[self.drawn, np.sqrt(self.rng.gamma(shape, size=more) / shape)]
         comes = np.interp(t / PERIOD, np.arange(self.drawn.size), self.drawn)
         x = np.exp(value) * comes * np.sin(2.0 * np.pi * t / PERIOD)
+        x += self.slow(self.u) * np.sin(2.0 * np.pi * SLOW * t)
         x += self.line * np.sin(2.0 * np.pi * 0.4 * t) + 1e-3 * self.rng.normal(size=samples)
         return x[:, None]
 
@@ -226,6 +229,18 @@ def test_a_strong_slow_interference_neither_sets_the_windows_nor_hides_the_map(p
     assert abs(hidden.static_map().best() - 0.4) < 0.1
     ranges = [hidden.windows.frequency[[a, b]] for _, a, b in hidden.amplitude.ranges]
     assert not any(low <= 0.4 <= high for low, high in ranges)
+
+
+def test_an_oscillation_too_slow_for_the_windows_counts_if_theta_makes_it():
+    grows = Simulated(lambda u: 0.7 - 4.0 * u, slow=lambda u: max(u - 0.5, 0.0))
+    design, moves = excite(grows, replace(RIG, time=3e4))
+    assert any("what is slower reacts" in move.why for move in moves)
+    assert design.ended == KNOWN
+    assert design.amplitude.weight[:, np.abs(design.windows.frequency - SLOW) < 0.01].any()
+    assert 0.55 < design.static_map().best() < 0.7  # where hypot(exp(0.7 - 4 u), u - 0.5) is least
+    hums = Simulated(wide, slow=lambda u: 0.3)
+    _, moves = excite(hums, replace(RIG, time=3e4))
+    assert not any("what is slower reacts" in move.why for move in moves)
 
 
 @pytest.mark.parametrize(("flat", "ended"), [(25.0, KNOWN), (1e9, TIME)])

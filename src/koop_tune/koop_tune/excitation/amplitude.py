@@ -174,6 +174,17 @@ class Amplitude:
         """Return log A of each whole window of samples, shape (M, n)."""
         return self.log(self.squares(self.windows.powers(x)))
 
+    def slower(self, x: Array) -> float:
+        """Return A^2 of what windows are too short for, from samples, shape (M, n), of two or more.
+
+        It is in their lowest bins, and in how their means differ from one to the next.
+        """
+        length = self.windows.length
+        lowest = self.windows.powers(x)[:, :, : AMPLITUDE.lowest].sum(axis=2).mean(axis=0)
+        parts = bridge_gaps(x[: x.shape[0] // length * length]).reshape(-1, length, x.shape[1])
+        steps = np.diff(parts.mean(axis=1), axis=0)
+        return float(self.weight.max(axis=1) @ (lowest + 0.5 * (steps**2).mean(axis=0))) + TINY
+
     def period(self, holds: Sequence[Array]) -> float:
         """Return the period [s] below which nearly all of A^2 is, in each of some holds."""
         shares = np.array([np.cumsum((self.weight * power).sum(axis=0)) for power in holds])

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm, ttest_ind
 
 from koop_core.config.parameter import Settings, judged, parameter
 from koop_core.errors import InputError
@@ -80,6 +81,7 @@ class DesignSettings(Settings):
     rival: float = studied(3.0, "amplitude over the best of a second valley that is looked into")
     edge: float = studied(0.5, "width of the valley that may be unknown, over its own", low=0.0)
     longer: int = parameter(4, "windows if nothing, or something slower, reacts, in these", low=2)
+    slower: float = judged(3.0, "standard errors by which what is slower must react", low=0.0)
     rounds: int = studied(3, "times at the first positions if nothing reacts", low=1)
     finest: float = parameter(0.004, "the same in ranges, if more", low=1e-4)
     passed: float = judged(
@@ -163,7 +165,7 @@ class Design:
         self.since = 0.0
         self._heard: Hold | None = after._heard if after else None
         self._hold = Hold(rig.u_start, 0, np.empty((0, len(rig.names))))
-        self._growth = self._brief = False
+        self._growth = self._brief = self._slow = False
         self._usual, self._target, self._best = 0.0, settings.error, math.inf
         self._expected = -math.inf
         self._least = self._most = self._next = settings.fewest
@@ -278,6 +280,7 @@ class Design:
         if (edge := self._unknown_edge(static_map)) is not None:
             return Move(edge, why="where the valley ends")
         if (move := self._confirm(static_map)) is None and (length := self._slower()) is not None:
+            self._slow = True
             return self._look_again(length, "what is slower reacts too")
         return move
 
@@ -331,16 +334,43 @@ class Design:
     def _slower(self) -> int | None:
         """Return the samples of windows in which something slower reacts than these resolve."""
         s, lowest = self._settings, self.windows.frequency[AMPLITUDE.lowest]
+        slower = self._is_slower()
         for longer in (s.longer, s.longer**2):
             windows = self.windows._replace(length=longer * self.windows.length)
             if windows.length <= self._longest:
                 continue  # looked at before
+            if slower:
+                return windows.length
             holds = [h for h in self.holds if h.size >= s.fewest * windows.length]
             powers = [windows.powers(h.x[h.size // 2 :]) for h in holds]
             amplitude = choose_amplitude(windows, powers, self.rig.weights) if powers else None
             if amplitude is not None and amplitude.weight[:, windows.frequency < lowest].any():
                 return windows.length
         return None
+
+    def _is_slower(self) -> bool:
+        """Return whether in the valley most of what is left is slower than windows resolve.
+
+        An interference does so everywhere; what theta makes of the rig does so more than beside.
+        """
+        static_map, length = self.static_map(), self.windows.length
+        parts = [
+            hold.x[min(level.skip, level.count - 2) * length :]
+            for hold, level in zip(self.holds, self.levels(), strict=True)
+        ]
+        slow = np.log([self.summed.slower(part) for part in parts])
+        u, valley = np.array([hold.u for hold in self.holds]), static_map.valley()
+        below, above = u < valley.low, u > valley.high
+        inside, sides = slow[~(below | above)], (slow[below], slow[above])
+        if self.rig.sense < 0.0 or not np.median(inside) > 2.0 * static_map.least:
+            return False
+        least, sure = 2.0 * math.log(self._settings.clear), norm.sf(self._settings.slower)
+        return any(
+            min(inside.size, side.size) > 1
+            and ttest_ind(inside - least, side, equal_var=False, alternative="greater").pvalue
+            < sure
+            for side in sides
+        )
 
     @property
     def _floor(self) -> float:
@@ -555,7 +585,9 @@ class Design:
             if max(squares) < s.clear**2 * max(min(squares), 0.0):
                 return  # of what reacts a little the frequency is not known
             length = window_length(self.period, s.window, self.rig.dt)
-            if not self._queue:
+            if self._queue and self._slow:  # until theta was where that shows
+                length = max(length, self.windows.length)
+            elif not self._queue:
                 longest = min(hold.size for hold in holds) // s.brief
                 length = min(length, max(longest, 64, self.windows.length))
             if 0.7 < length / self.windows.length < 1.5:
