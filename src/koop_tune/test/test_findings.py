@@ -62,6 +62,12 @@ def test_where_there_is_nothing_to_seek_it_says_what_to_record(level, error, kin
     assert re.search("record", str(refused.value))
 
 
+def test_a_cost_that_clearly_leads_elsewhere_is_not_said_to_be_drowned():
+    elsewhere = make_cost("raw", lambda u: 30.0 * (u - 0.125) ** 2, reference=valley)
+    with pytest.raises(NoOptimum, match=r"near 0.5, but the cost raw leads to 0.125: it sums"):
+        judge(valley, elsewhere)
+
+
 def test_an_optimum_that_moved_to_the_limit_may_turn_round():
     findings = make_findings(lambda u: 2.0 * u, [make_cost("raw", lambda u: 2.0 * u)])
     moved = replace(findings, static_map=replace(findings.static_map, motion=-0.2))

@@ -246,11 +246,19 @@ def _monotone(findings: Findings, rig: RigFile) -> str:
 
 def _drowned(findings: Findings) -> str:
     best = findings.scale.theta_at(findings.static_map.best())
-    evidence = max(0.0, *(candidate.evidence for candidate in findings.costs))
+    seen = f"the amplitude of {findings.name} has an optimum near {best:.4g}, but"
+    clearest = max(findings.costs, key=lambda each: each.evidence)
+    if clearest.clearest and clearest.evidence > clearest.reference.settings.ends**2:
+        other = findings.scale.theta_at(clearest.clearest[1].best())
+        return (
+            f"{seen} the cost {clearest.cost.name} leads to {other:.4g}: it sums what that "
+            "amplitude leaves out, which changes with theta too; record longer holds (increase "
+            "'time'), which show slower motion, or measure where the oscillation is stronger"
+        )
     return (
-        f"the amplitude of {findings.name} has an optimum near {best:.4g}, but no cost shows it "
-        f"(evidence {evidence:.1f}): noise or interference drowns it; record longer holds "
-        "(increase 'time'), or measure where the oscillation is stronger"
+        f"{seen} no cost shows it (evidence {clearest.evidence:.1f}): noise or interference "
+        "drowns it; record longer holds (increase 'time'), or measure where the oscillation is "
+        "stronger"
     )
 
 
