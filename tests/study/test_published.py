@@ -11,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
+TERMINAL = html.unescape((ROOT / "docs" / "images" / "terminal.svg").read_text())
 STUDY = ROOT / "docs" / "study"
 
 
@@ -37,7 +38,7 @@ def test_the_readmes_results_are_those_of_the_published_study() -> None:
     ],
 )
 def test_the_demo_is_the_studys_run(label: str, column: str, form: str) -> None:
-    (shown,) = re.findall(rf"^{re.escape(label)}\s+(\S+)", README, re.MULTILINE)
+    (shown,) = re.findall(rf">{re.escape(label)}\s+([^\s<]+)", TERMINAL.replace("\xa0", " "))
     (lifted,) = (row for row in rows("closed_loop") if row["method"] == "lifted")
     assert shown == format(float(lifted[column]), form)
 

@@ -60,7 +60,7 @@ class Sensors:
 
 def main(log: str) -> None:
     """Run until stdin ends."""
-    wire, sensors = Wire("rig/state", "rig/theta", "JointState", False), Sensors(1)
+    wire, sensors = Wire("rig/state", ["rig/theta"], "JointState", False), Sensors(1)
     actuator = Actuator(Actuation(START, LOW, HIGH, 0.0, RATE), DT)
     ended = threading.Event()
 
@@ -85,9 +85,9 @@ def main(log: str) -> None:
             while late and late[0][0] <= now:
                 _, at, values = late.pop(0)
                 for _ in range(sensors.copies()):
-                    wire.say(at, k, values, [], 0.0, 0)
+                    wire.say(at, k, values, [], [], 0)
             said = math.nan
-            for wanted, _ in wire.heard() if "cut" not in sensors.faults else ():
+            for _, wanted, _ in wire.heard() if "cut" not in sensors.faults else ():
                 command = said = wanted
                 heard = time.monotonic()
             silent = time.monotonic() - heard
