@@ -189,8 +189,10 @@ class RigLimits(KnobSettings):
         Beyond a line it is drawn back straight towards theta_safe, as far as all lines ask for:
         limits and lines together are convex.
         """
-        safe, share = self.each("theta_safe"), 1.0
         theta = self._clip(theta)
+        if not self.lines:
+            return theta
+        safe, share = self.each("theta_safe"), 1.0
         for line in self.lines:
             if (excess := line.excess(theta)) > 0.5 * line.room:  # else it was drawn back already
                 share = min(share, line.excess(safe) / (line.excess(safe) - excess))
@@ -199,8 +201,12 @@ class RigLimits(KnobSettings):
         return self._clip([a + share * (b - a) for a, b in zip(safe, theta, strict=True)])
 
     def _clip(self, theta: Sequence[float]) -> tuple[float, ...]:
-        knobs = zip(theta, self.each("theta_min"), self.each("theta_max"), strict=True)
-        return tuple(min(max(value, low), high) for value, low, high in knobs)
+        knobs = zip(theta, self._limits, strict=True)
+        return tuple(min(max(value, low), high) for value, (low, high) in knobs)
+
+    @cached_property  # asked for with each message
+    def _limits(self) -> tuple[tuple[float, float], ...]:
+        return tuple(zip(self.each("theta_min"), self.each("theta_max"), strict=True))
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -279,10 +279,12 @@ class Design:
             return end._replace(why="whether an end is the best")
         if (edge := self._unknown_edge(static_map)) is not None:
             return Move(edge, why="where the valley ends")
-        if (move := self._confirm(static_map)) is None and (length := self._slower()) is not None:
-            self._slow = True
-            return self._look_again(length, "what is slower reacts too")
-        return move
+        if (move := self._confirm(static_map)) is not None:
+            return move
+        if (length := self._slower(static_map)) is None:
+            return None
+        self._slow = True
+        return self._look_again(length, "what is slower reacts too")
 
     def _look_again(self, length: int, why: str) -> Move | None:
         """Return where theta goes for longer windows; holds that are long enough for them stay."""
@@ -331,10 +333,10 @@ class Design:
         """Return the first positions."""
         return first_positions(self._settings.first, up) if self._first is None else [*self._first]
 
-    def _slower(self) -> int | None:
+    def _slower(self, static_map: StaticMap) -> int | None:
         """Return the samples of windows in which something slower reacts than these resolve."""
         s, lowest = self._settings, self.windows.frequency[AMPLITUDE.lowest]
-        slower = self._is_slower()
+        slower = self._is_slower(static_map)
         for longer in (s.longer, s.longer**2):
             windows = self.windows._replace(length=longer * self.windows.length)
             if windows.length <= self._longest:
@@ -348,12 +350,12 @@ class Design:
                 return windows.length
         return None
 
-    def _is_slower(self) -> bool:
+    def _is_slower(self, static_map: StaticMap) -> bool:
         """Return whether in the valley most of what is left is slower than windows resolve.
 
         An interference does so everywhere; what theta makes of the rig does so more than beside.
         """
-        static_map, length = self.static_map(), self.windows.length
+        length = self.windows.length
         parts = [
             hold.x[min(level.skip, level.count - 2) * length :]
             for hold, level in zip(self.holds, self.levels(), strict=True)

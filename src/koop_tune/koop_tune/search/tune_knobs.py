@@ -129,7 +129,6 @@ def tune_knobs(
         raise NoOptimum("flat", "no section of the map over any knob is known: record with "
                         "'koop excite', until it says that the map is known")  # fmt: skip
     rigs = {k: rig.section(k, rig.theta_at(line)) for k, line in lines.items()}
-    safe_of = {k: _find_safe(rig.knob(k), rigs[k]) for k in rigs}
     parts = {k: cut_section(loaded, rig, k, line) for k, line in lines.items()}
     dwells = {
         k: find_dwells(part, rigs[k].scale, amplitude, rig.sense) for k, part in parts.items()
@@ -137,8 +136,9 @@ def tune_knobs(
     sections = {k: d.static_map(d.logs, rig.sense) for k, d in dwells.items()}
     change = {k: float(np.ptp(section.mean)) for k, section in sections.items()}
     knob = max(sections, key=lambda k: (change[k] >= settings.slight, sections[k].evidence))
+    room = _find_safe(rig.knob(knob), rigs[knob])
     try:
-        tuning = tune(parts[knob], rigs[knob], training, amplitude, settings, report, safe_of[knob])
+        tuning = tune(parts[knob], rigs[knob], training, amplitude, settings, report, room)
     except NoOptimum as no:
         text = f"over {rig.knob_names[knob]}, which shows the optimum best, {no}"
         raise NoOptimum(no.kind, text, no.findings, knob) from None
