@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,6 +70,22 @@ class Cliff(NamedTuple):
     inner: float
     outer: float
     height: float
+
+
+@cache
+def of_one(kernel: type[Any], name: str) -> type[Any]:
+    """Return a scikit-learn kernel that knows its one hyperparameter.
+
+    Scikit-learn looks for it in the signature of the kernel, two thirds of the time of a fit.
+    """
+
+    def log(self: Any) -> Array:
+        return np.log([getattr(self, name)])
+
+    def set_exp(self: Any, theta: Array) -> None:
+        setattr(self, name, np.exp(theta[0]))
+
+    return type(kernel.__name__, (kernel,), {"theta": property(log, set_exp)})
 
 
 @dataclass(frozen=True)
@@ -136,9 +152,11 @@ class StaticMap:
         from threadpoolctl import threadpool_limits
 
         s = self.settings
-        kernel = ConstantKernel(1.0, (0.01, 30.0)) * Matern(
-            0.3, (s.shortest, 3.0), nu=s.smoothness
-        ) + WhiteKernel(1e-4, (1e-6, s.scatter**2))
+        kernel = of_one(ConstantKernel, "constant_value")(1.0, (0.01, 30.0)) * of_one(
+            Matern, "length_scale"
+        )(0.3, (s.shortest, 3.0), nu=s.smoothness) + of_one(WhiteKernel, "noise_level")(
+            1e-4, (1e-6, s.scatter**2)
+        )
         middle = float(self.y.mean())
         process = GaussianProcessRegressor(
             kernel, alpha=self._alpha, n_restarts_optimizer=1, random_state=0
