@@ -158,7 +158,7 @@ def find_rests(
             if not np.isfinite(part[a]):
                 joins = bool(pieces)
                 continue
-            value = float(np.median(part[a:b]))
+            value = float(np.median(part[a:b]) if b > a + 1 else part[a])  # most are of one sample
             if not joins or abs(value - pieces[-1][-1][0]) > settings.same:
                 pieces.append([])
             joins = False
