@@ -17,6 +17,7 @@ from koop_guard.config import GUARD
 from koop_lab.cli.main import main
 from koop_loop import parameters
 from koop_study.commissioning.excitation import training_of
+from koop_study.family import oscillator
 from koop_tune.result import tune_result
 from koop_tune.rig import rig_file
 from koop_tune.rig_model.surrogate import fit_times
@@ -66,6 +67,23 @@ def test_a_rig_without_an_optimum_is_refused(name, kind):
     if name == "monotone":
         worst = rig.best()[0] > 0.5 * (rig.params.theta_min + rig.params.theta_max)
         assert f"theta_{'max' if worst else 'min'}" in str(no.value)
+
+
+def test_modes_that_trade_off_are_told_with_what_each_has_over_its_own_best():
+    rig = rig_of(3, **QUICK, maps={"two-modes": 1.0}, clean=1.0, noise_driven=0.0)
+    findings = analyse(*recorded(rig))
+    u = np.clip(findings.static_map.u, 0.0, 1.0)
+    levels = np.array([oscillator.two_modes(rig.params, v, 0.0) for v in u])
+    over = levels[np.argmin(np.abs(u - findings.static_map.best()))] / levels.min(axis=0)
+    own = findings.scale.theta(u[levels.argmin(axis=0)])
+    f = findings.dwells.amplitude.windows.frequency
+    slow, fast = ([m for m in findings.modes if (f[m.first] < 1.5 * rig.frequency) == slower]
+                  for slower in (True, False))  # fmt: skip
+    assert [mode.theta for mode in slow] == pytest.approx([own[0]] * len(slow))
+    assert max(mode.worse for mode in slow) == pytest.approx(over[0], rel=0.05)
+    # of the other one the background hides how little it has at its best
+    assert [mode.theta for mode in fast] != pytest.approx([own[0]] * len(fast))
+    assert 1.5 < max(mode.worse for mode in fast) < over[1]
 
 
 def test_the_time_constant_is_that_of_the_rig():

@@ -10,6 +10,7 @@ from surrogate_rigs import make_amplitude
 
 from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import write_json
+from koop_tune.excitation.amplitude import Mode
 from koop_tune.excitation.static_map import Interval
 from koop_tune.result import tune_result
 from koop_tune.result.tune_result import AmplitudeMap, ControllerResult, Points, TuneResult
@@ -238,6 +239,28 @@ def test_a_rig_that_theta_changes_little_is_not_praised(aim, good):
     said = verdict(aim, [little, replace(little, reduction=0.998)], [[-1.0], [3.0]], 1, "there")
     assert said.endswith("theta changes the amplitude little here: by a factor of 1.06 at most.")
     assert "amplitude little" not in verdict(aim, [little, good], [[-1.0], [3.0]], 1, "there")
+
+
+def test_a_part_of_the_amplitude_that_is_far_from_its_own_best_is_named(aim):
+    one = Mode("x at 2 Hz", 0, 1, 40, 0.2, 0.9, theta=2.5, best=math.log(0.25), error=0.01)
+    other = one._replace(name="y at 2 Hz", channel=1)
+    traded = run(replace(aim, modes=(one,)))  # which ends at 1
+    assert traded.modes == pytest.approx([4.0], rel=0.2)
+    said = verdict(replace(aim, modes=(one,)), [traded, traded], [[-1.0], [3.0]], 1, "there")
+    found = re.search(
+        r"The rig is damped.*; but the best sum is not the best of each part: better alone is x at "
+        r"2 Hz \(20 to 90 % of its square\) by a factor of (\S+) at theta = 2.5\.$",
+        said,
+    )
+    assert float(found[1]) == pytest.approx(4.0, rel=0.2)
+    near = replace(traded, modes=(1.4,))
+    assert "better" not in verdict(replace(aim, modes=(one,)), [near], [[3.0]], 1, "there")
+    both = [replace(traded, modes=(1.0, 3.0)), replace(traded, modes=(1.6, 2.0))]
+    said = verdict(replace(aim, modes=(one, other)), both, [[-1.0], [3.0]], 1, "there")
+    assert said.index("y at 2 Hz (20 to 90 % of its square) by a factor of 3 at") < said.index(
+        "x at 2 Hz (20 to 90 % of its square) by a factor of 1.6 at"
+    )
+    assert said.endswith("theta = 2.5; 'weights' in the rig file ask for another sum.")
 
 
 def factor(text):

@@ -174,9 +174,11 @@ def test_two_modes_that_trade_off_are_both_in_and_named_with_their_shares():
     most = (falls**2 + rises**2).max()
     expected = np.sqrt(0.5 * ((falls**2 + rises**2) / most + falls**2 / falls.max() ** 2))
     assert levels(amplitude, holds) == pytest.approx(expected, rel=0.03)
-    modes = amplitude.modes([hold.mean(axis=0) for hold in holds])
-    slow = next(m for m in modes if m.channel == 0 and m.low <= 0.75 <= m.high)
-    fast = next(m for m in modes if m.channel == 0 and m.low <= 3.5 <= m.high)
+    modes, frequency = amplitude.modes(holds, ["a", "b"]), WINDOWS.frequency
+    slow, fast = (
+        next(m for m in modes if m.channel == 0 and frequency[m.first] <= f <= frequency[m.last])
+        for f in (0.75, 3.5)
+    )
     share = 0.5 * rises**2 / most / expected**2
     assert (fast.least, fast.most) == pytest.approx((share.min(), share.max()), abs=0.02)
     assert slow.least < 0.01 < slow.most

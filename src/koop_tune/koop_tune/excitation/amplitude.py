@@ -115,21 +115,42 @@ def _edges(bins: int, single: int, ratio: float) -> tuple[int, ...]:
 
 
 class Mode(NamedTuple):
-    """Neighbouring frequencies of a channel that react: first and last [Hz], shares of A^2.
+    """Neighbouring frequencies of a channel that react.
 
-    ``least`` and ``most`` are the shares at the holds at which it has the least and the most.
+    Attributes
+    ----------
+    name : str
+        Channel and frequencies in words.
+    channel, first, last : int
+        The channel, and groups.
+    least, most : float
+        Its shares of A^2 at the holds at which it has the least and the most.
+    theta, best, error : float
+        Where its own amplitude is best, the logarithm of that, and its standard error.
+    worse : float
+        Factor by which it is worse where A is best, errors subtracted.
     """
 
+    name: str
     channel: int
-    low: float
-    high: float
+    first: int
+    last: int
     least: float
     most: float
+    theta: float = 0.0
+    best: float = 0.0
+    error: float = 0.0
+    worse: float = 1.0
 
-    def describe(self, channels: Sequence[str]) -> str:
-        """Return it in words."""
-        share = f"{100.0 * self.least:.2g} to {100.0 * self.most:.2g} %"
-        return f"{channels[self.channel]} at {_spell_band(self.low, self.high)}: {share}"
+    @property
+    def share(self) -> str:
+        """Its share in words."""
+        return f"{100.0 * self.least:.2g} to {100.0 * self.most:.2g} %"
+
+    def describe(self) -> str:
+        """Return its share and its own best in words."""
+        worse = f", {self.worse:.3g} times that where the sum is best" * (self.worse > 1.0)
+        return f"{self.name}: {self.share}, best at {self.theta:.4g}{worse}"
 
 
 @dataclass(frozen=True)
@@ -201,38 +222,41 @@ class Amplitude:
             rows += [(channel, int(a), int(b) - 1) for a, b in steps.reshape(-1, 2)]
         return rows
 
-    def modes(self, holds: Sequence[Array]) -> list[Mode]:
-        """Return what reacts, without minor parts, from mean powers of holds, shape (n, G)."""
-        edges, seconds = self.windows.edges, self.windows.seconds
+    def modes(self, holds: Sequence[Array], channels: Sequence[str]) -> list[Mode]:
+        """Return what reacts, without minor parts, from powers of holds, shape (W, n, G)."""
         rows = []
         for channel, first, last in self.ranges:
-            part = slice(first, last + 1)
+            name = f"{channels[channel]} at {self._spell_band(first, last)}"
+            mode = Mode(name, channel, first, last, 0.0, 0.0)
             shares = [
-                float((self.weight[channel, part] * power[channel, part]).sum())
-                / max(float((self.weight * power).sum()), 1e-300)
+                float(self.part(mode, power).mean())
+                / max(float((self.weight * power.mean(axis=0)).sum()), 1e-300)
                 for power in holds
             ]
             if max(shares) >= AMPLITUDE.minor:
-                low, high = edges[first] / seconds, (edges[last + 1] - 1) / seconds
-                rows.append(Mode(channel, low, high, min(shares), max(shares)))
+                rows.append(mode._replace(least=min(shares), most=max(shares)))
         return sorted(rows, key=lambda mode: -mode.most)
+
+    def part(self, mode: Mode, powers: Array) -> Array:
+        """Return what a mode has of A^2 in each window, shape (W,), with its background."""
+        groups = slice(mode.first, mode.last + 1)
+        return powers[:, mode.channel, groups] @ self.weight[mode.channel, groups] + TINY
 
     def name(self, channels: Sequence[str]) -> str:
         """Return in words what is summed."""
-        edges, seconds = self.windows.edges, self.windows.seconds
         parts: dict[str, list[str]] = {}
         for channel, first, last in self.ranges:
-            low, high = edges[first] / seconds, (edges[last + 1] - 1) / seconds
-            parts.setdefault(channels[channel], []).append(_spell_band(low, high))
+            parts.setdefault(channels[channel], []).append(self._spell_band(first, last))
         named: dict[str, list[str]] = {}  # channels that react alike are named together
         for channel_name, texts in parts.items():
             more = [f"{len(texts) - 3} more bands"] if len(texts) > 3 else []
             named.setdefault(", ".join([*texts[:3], *more]), []).append(channel_name)
         return " and ".join(f"{' and '.join(names)} at {text}" for text, names in named.items())
 
-
-def _spell_band(low: float, high: float) -> str:
-    return f"{low:.3g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
+    def _spell_band(self, first: int, last: int) -> str:
+        edges, seconds = self.windows.edges, self.windows.seconds
+        low, high = edges[first] / seconds, (edges[last + 1] - 1) / seconds
+        return f"{low:.3g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
 
 
 def choose_amplitude(

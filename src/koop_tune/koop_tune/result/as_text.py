@@ -54,7 +54,8 @@ def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
         lines.append(f"no effect, so they rest: {', '.join(useless)}")
     lines += [fit.moved] * bool(fit.moved)
     if len(fit.modes) > 1:
-        lines.append(f"share in the amplitude's square over theta: {'; '.join(fit.modes[:6])}")
+        shares = "; ".join(mode.describe() for mode in fit.modes[:6])
+        lines.append(f"share in the amplitude's square over theta: {shares}")
     if result.costs:
         rows = []
         for cost in result.costs:

@@ -72,7 +72,7 @@ def _summarise_map(findings: Findings, knob: int = 0) -> AmplitudeMap:
     return AmplitudeMap(
         findings.name,
         amplitude,
-        [mode.describe(findings.channels) for mode in findings.modes],
+        findings.modes,
         scale.theta_at(maps.best()),
         maps.sense * maps.least,
         min(maps.doubt, max(maps.least - floor, 0.0)),

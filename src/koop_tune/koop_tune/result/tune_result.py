@@ -10,7 +10,7 @@ import numpy as np
 
 from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import read_object
-from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.amplitude import Amplitude, Mode
 from koop_tune.excitation.static_map import Interval
 from koop_tune.folder import FIGURES
 from koop_tune.rig.rig_file import RigFile
@@ -76,8 +76,8 @@ class AmplitudeMap:
         The amplitude in words.
     amplitude : Amplitude
         What is summed.
-    modes : list of str
-        Its parts, with their shares over theta, in words.
+    modes : list of Mode
+        Its parts, with their shares over theta.
     theta_best : float
         The best theta.
     best, error : float
@@ -96,7 +96,7 @@ class AmplitudeMap:
 
     feature: str
     amplitude: Amplitude
-    modes: list[str]
+    modes: list[Mode]
     theta_best: float
     best: float
     error: float
@@ -217,7 +217,7 @@ class TuneResult:
         return Aim(
             fit.amplitude, fit.feature, tuple(knobs), rig.sense, fit.best, fit.error,
             rig.sense * (best + CONVERGENCE.bound(worst - best)), controller.time, fit.growth,
-            controller.predicted,
+            controller.predicted, tuple(fit.modes),
         )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.knobs import format_knobs
-from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.amplitude import Amplitude, Mode
 from koop_tune.excitation.holds import mean_level
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.surrogate import BLOCKS
@@ -69,6 +69,8 @@ class Aim:
         The rig's own time, and the longest that its oscillation was seen to grow [s].
     predicted : Prediction
         The tuning's.
+    modes : tuple of Mode
+        Parts of the amplitude, with the best of each alone.
     settings : VerificationSettings
         How a loop is compared with it.
     longer : float
@@ -85,6 +87,7 @@ class Aim:
     time: float
     growth: float
     predicted: Prediction
+    modes: tuple[Mode, ...] = ()
     settings: VerificationSettings = VERIFICATION
     longer: float = 1.0
 
@@ -133,6 +136,8 @@ class Measured:
         Mean of theta of each knob over the second half, and its least and largest.
     broken : float
         Share of the second half in which a constraint was broken.
+    modes : tuple of float
+        Factors by which the aim's modes are worse than each at its own best, errors subtracted.
     """
 
     time_to_converge: float | None
@@ -147,6 +152,7 @@ class Measured:
     low: tuple[float, ...]
     high: tuple[float, ...]
     broken: float = 0.0
+    modes: tuple[float, ...] = ()
 
     @property
     def swing(self) -> tuple[float, ...]:
@@ -170,7 +176,8 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     """
     paths = [np.ascontiguousarray(path[path.size // 2 :]) for path in np.atleast_2d(theta.T)]
     amplitude = aim.amplitude
-    squares, first = (amplitude.squares(amplitude.windows.powers(part)) for part in (x, before))
+    powers = amplitude.windows.powers(x)
+    squares, first = map(amplitude.squares, (powers, amplitude.windows.powers(before)))
     late = squares[squares.size // 2 :]
     level, error = mean_level(late, amplitude.floor)
     if late.size >= 4:
@@ -196,7 +203,15 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
         tuple(k.scale.theta_at(float(v.mean())) for k, v in zip(aim.knobs, u, strict=True)),
         tuple(float(path.min()) for path in paths),
         tuple(float(path.max()) for path in paths),
+        modes=tuple(_find_worse(aim, mode, powers[squares.size // 2 :]) for mode in aim.modes),
     )
+
+
+def _find_worse(aim: Aim, mode: Mode, powers: Array) -> float:
+    """Return by what factor a mode is worse than at its own best, errors subtracted; at least 1."""
+    level, error = mean_level(aim.amplitude.part(mode, powers))
+    doubt = aim.settings.errors * math.hypot(error, mode.error)
+    return math.exp(max(aim.sense * (level - mode.best) - doubt, 0.0))
 
 
 def find_disagreements(aim: Aim, run: Measured, allowance: float = 1.0) -> list[str]:
@@ -321,7 +336,27 @@ def verdict(
     most = max(run.reduction for run in runs)
     if not faults and most < CONVERGENCE.good:
         last += f"; theta changes the amplitude little here: by a factor of {most:.3g} at most"
+    if not faults:
+        last += _describe_trade(aim, runs)
     return " ".join([*lines, last + "."])
+
+
+def _describe_trade(aim: Aim, runs: Sequence[Measured]) -> str:
+    """Return which modes are far from their own best, in words; empty if all are near."""
+    rows = zip(aim.modes, *(run.modes for run in runs), strict=True)
+    far = sorted([(max(each), mode) for mode, *each in rows if max(each) > CONVERGENCE.good])
+    if not far:
+        return ""
+    parts = [
+        f"{mode.name} ({mode.share} of its square) by a factor of {worse:.3g}"
+        + f" at theta = {mode.theta:.4g}" * (len(aim.knobs) == 1)
+        for worse, mode in far[:-4:-1]
+    ]
+    several = len({mode.channel for mode in aim.modes}) > 1
+    return (
+        f"; but the best sum is not the best of each part: better alone is {', '.join(parts)}"
+        + "; 'weights' in the rig file ask for another sum" * several
+    )
 
 
 def describe_run(aim: Aim, run: Measured, start: Sequence[float], name: str = "") -> str:

@@ -12,7 +12,7 @@ from koop_identify.model.compare import Cost, costs
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.model.windows import period_of
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.amplitude import Amplitude, Mode, Windows, window_length
+from koop_tune.excitation.amplitude import Amplitude, Array, Mode, Windows, window_length
 from koop_tune.excitation.design import DESIGN, Design
 from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.excitation.static_map import StaticMap
@@ -95,14 +95,14 @@ class Findings:
     ----------
     scale, dwells, static_map, period
         Theta's range; where it rested; map of the amplitude; the oscillation's period [s].
-    name, channels : str, tuple of str
-        What the amplitude sums; the channels' names.
+    name : str
+        What the amplitude sums.
     costs : list of CostMaps
         One of each candidate.
     limits : ThetaLimits
         Limits of the controller's theta.
     modes : list of Mode
-        What the amplitude sums, with the share that each has over theta.
+        Its parts, with the share and the best of each.
     doubt : str
         What is not sure about the optimum, in words; empty if it is.
     safe : SafeRange or None
@@ -116,7 +116,6 @@ class Findings:
     static_map: StaticMap
     period: float
     name: str
-    channels: tuple[str, ...]
     costs: list[CostMaps]
     limits: ThetaLimits
     modes: list[Mode]
@@ -153,11 +152,9 @@ def analyse(
         raise NoOptimum("flat", f"no frequency of any channel reacts to theta: {TO_DO}")
     dwells = find_dwells(loaded, scale, amplitude, rig.sense)
     static_map, dwells = dwells.now(dwells.static_map(dwells.logs, rig.sense))
-    powers = [
-        amplitude.windows.powers(loaded.x[:, a:b].T)[skip:].mean(axis=0)
-        for _, a, b, skip in dwells.rests
-    ]
-    period = amplitude.period(powers)
+    powers = [amplitude.windows.powers(loaded.x[:, a:b].T) for _, a, b, _ in dwells.rests]
+    settled = dwells.settled(powers)
+    period = amplitude.period([power.mean(axis=0) for power in settled])
     candidates: list[CostMaps] = []
     for cost in costs(loaded, training, period, settings.learned):
         maps = {}
@@ -168,12 +165,29 @@ def analyse(
                 maps[omega_h] = dwells.static_map(levels, rig.sense)
         candidates.append(CostMaps(cost, maps, static_map, settings.near))
     findings = Findings(
-        scale, dwells, static_map, period, amplitude.name(rig.names), rig.names, candidates,
-        limit_theta(static_map, rig, settings, safe), amplitude.modes(powers),
+        scale, dwells, static_map, period, amplitude.name(rig.names), candidates,
+        limit_theta(static_map, rig, settings, safe),
+        [_find_best(mode, dwells, powers, static_map, scale)
+         for mode in amplitude.modes(settled, rig.names)],
         safe=safe,
         speed=static_map.motion / max(float(np.ptp(dwells.middles)) * dt, dt),
     )  # fmt: skip
     return decide(findings, rig, settings)
+
+
+def _find_best(
+    mode: Mode, dwells: Dwells, powers: list[Array], static_map: StaticMap, scale: Scale
+) -> Mode:
+    """Return a mode with its own best, from the powers of all windows of each rest."""
+    logs = [0.5 * np.log(dwells.amplitude.part(mode, power)) for power in powers]
+    own = dwells.static_map(logs, static_map.sense)
+    best = own.best()
+    step, error = own.difference(static_map.best(), best)
+    return mode._replace(
+        theta=scale.theta_at(best), best=own.sense * own.least,
+        error=float(own.predict(np.array([best]))[1][0]),
+        worse=math.exp(max(step - own.settings.ends * error, 0.0)),
+    )  # fmt: skip
 
 
 TO_DO = (
