@@ -31,10 +31,8 @@ def list_stages(c: Contents) -> Iterator[Stage]:
     if not c.is_excited:
         yield Stage("Excite", MISSING, f"{text}; to resume: ./koop excite {rig} --out {folder}")
     else:
-        late = f"the {c.rig.time:g} s were over before the map was known"
-        if state.elapsed < c.rig.time:
-            late = "the map is not known, and more holds would not help"
-        over = {KNOWN: "the map is known", FLAT: "nothing reacts"}.get(state.ended, late)
+        over = {KNOWN: "the map is known", FLAT: "nothing reacts"}.get(state.ended)
+        over = over or state.describe_end(c.rig)
         yield Stage("Excite", DONE if state.ended == KNOWN else NO, f"{text}: {over}")
     if controller := c.tuned.controller:
         yield Stage("Tune", DONE, f"cost {controller.cost}, law {controller.constants.law}")

@@ -78,15 +78,7 @@ def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
         KNOWN: "the static map is known well enough",
         FLAT: "nothing reacts to theta beyond the errors: 'koop check' tells whether theta reaches "
         "the rig",
-        TIME: f"the {rig.time:g} s of the rig file were over before the static map was known: set "
-        "a longer 'time' in it and run the same command again",
-    }[progress.ended or TIME]
-    if progress.ended == TIME and progress.elapsed < rig.time:  # as many holds as there may be
-        reason = (
-            "the static map is not known yet, and more holds would not help: noise hides the "
-            "oscillation, or the rig changes while theta is held; measure where it is stronger, or "
-            "set narrower limits of theta, and choose another --out"
-        )
+    }.get(progress.ended) or progress.describe_end(rig)
     return (
         f"{reason}; {len(progress.holds)} holds in {progress.elapsed:.0f} s of the rig's time; "
         f"theta is back at {rig.spell('theta_safe')}"
@@ -120,9 +112,7 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
     if state.ended in (KNOWN, FLAT):
         raise ConfigError(f"{folder}: the static map is known already: choose another --out")
     if state.elapsed >= rig.time:
-        raise ConfigError(
-            f"{folder}: the {rig.time:g} s of the rig file are over: set a longer 'time' in it"
-        )
+        raise ConfigError(f"{folder}: {state.describe_end(rig)}")
     refuse_small_disk(rig, folder, rig.time - state.elapsed)
     recorded, state.ended = read_holds(state.narrow(rig), folder, state), ""
     number = len(state.parts) + 1
@@ -199,11 +189,8 @@ class Excitation:
     def _save(self) -> None:
         state, design, rig = self._state, self._design, self._rig
         state.since = max(state.since, design.since)
-        state.elapsed, state.windows, state.amplitude = (
-            self._elapsed,
-            design.windows,
-            design.amplitude,
-        )
+        state.windows, state.amplitude = design.windows, design.amplitude
+        self._note_time()
         seconds, dt = design.windows.seconds, self._rig.dt
         state.holds = [
             HoldSummary(
@@ -214,6 +201,10 @@ class Excitation:
         ]  # fmt: skip
         state.sections = [SectionLine(k, rig.theta_at(u)) for k, u in design.lines.items()]
         progress_file.save(state, self._rig, self._folder)
+
+    def _note_time(self) -> None:
+        self._state.elapsed = self._elapsed
+        self._state.needed = self._elapsed + self._design.needed[1]
 
     def _listen(self) -> None:
         """Choose the first windows from the oscillation before theta moves."""
@@ -236,13 +227,13 @@ class Excitation:
         koop_core.config.parameter.ConfigError
             If the time of the rig file is too short for that.
         """
-        rig, needed = self._rig, self._design.needed
+        rig, (first_holds, _) = self._rig, self._design.needed
         left = max(rig.time - self._elapsed, 0.0)
-        if needed > left:
+        self._note_time()
+        if first_holds > left:
             raise ConfigError(
-                f"the first holds alone need {needed:.0f} s, and of time = {rig.time:g} in the rig "
-                f"file {left:.0f} s are left: set time = "
-                f"{round_up(2.0 * (self._elapsed + needed)):g} or more"
+                f"the first holds alone need {first_holds:.0f} s, and of time = {rig.time:g} in "
+                f"the rig file {left:.0f} s are left: {self._state.longer}"
             )
         back = max(rig.guard.return_time(rig.each(name)) for name in ("theta_min", "theta_max"))
         several = ", one knob after another" * (rig.count > 1)
@@ -327,13 +318,3 @@ def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Re
                 recorded.append(RecordedHold(rig.u(hold.theta), x, state.since + begin * rig.dt))
                 break
     return recorded
-
-
-def round_up(seconds: float) -> float:
-    """Return a time of two digits that is not shorter.
-
-    >>> round_up(1234.0)
-    1300.0
-    """
-    digit = 10.0 ** (math.floor(math.log10(seconds)) - 1)
-    return math.ceil(seconds / digit) * digit

@@ -211,10 +211,20 @@ class Design:
         return min(periods), max(periods)
 
     @property
-    def needed(self) -> float:
-        """Time that the first positions need at least [s], if what reacts is what was heard."""
-        way = 2.0 * self.rig.span / self.rig.theta_rate
-        return len(self._queue) * self._settings.fewest * self.windows.seconds + way
+    def needed(self) -> tuple[float, float]:
+        """Time that the first positions need at least, and all that is to come [s].
+
+        If what reacts is what was heard: then theta goes into each gap, and to the best from both
+        sides.
+        """
+        s, least, seconds = self._settings, self._needed_windows(), self.windows.seconds
+        first = len(self._queue) * least * seconds
+        first += 2.0 * self.rig.span / self.rig.theta_rate if self._queue else 0.0
+        gaps = np.diff(np.unique([*self._queue, *(hold.u for hold in self.holds)]))
+        halves = 2.0 ** np.ceil(np.log2(np.maximum(gaps / s.gap, 1.0))) - 1.0
+        sides = {hold.side for hold in self.holds if hold.confirms}
+        best = max(2 - len(sides), not self._queue)
+        return first, first + (float(halves.sum()) * s.brief + best * least) * seconds
 
     # -- where theta goes -----------------------------------------------------------------------
 

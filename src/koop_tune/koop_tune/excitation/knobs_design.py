@@ -140,9 +140,11 @@ class KnobsDesign:
         return self._design.left
 
     @property
-    def needed(self) -> float:
+    def needed(self) -> tuple[float, float]:
         """As a Design's, of all knobs that theta has not gone over yet."""
-        return self._design.needed * max(self.rig.count - len(self.lines), 1)
+        first, whole = self._design.needed
+        knobs = max(self.rig.count - len(self.lines), 1)
+        return knobs * first, knobs * whole
 
     @property
     def held(self) -> list[tuple[Hold, Array]]:

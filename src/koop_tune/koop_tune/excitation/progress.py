@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -64,6 +65,8 @@ class ExcitationProgress:
         Thetas that keep the constraint; None before they are known, and without one.
     sections : list of SectionLine
         Of each knob that has an effect, once they are known.
+    needed : float
+        Time that it needs in all at least [s].
     """
 
     windows: Windows | None = None
@@ -75,6 +78,25 @@ class ExcitationProgress:
     ended: str = ""
     safe: SafeRange | None = None
     sections: list[SectionLine] = field(default_factory=list)
+    needed: float = 0.0
+
+    @property
+    def longer(self) -> str:
+        """What to do where the rig file's time is too short, in words."""
+        return f"set time = {round_up(self.needed):g} or more in it"
+
+    def describe_end(self, rig: RigFile) -> str:
+        """Return in words why it ended before the map was known."""
+        if self.elapsed >= rig.time:
+            return (
+                f"the {rig.time:g} s of the rig file were over before the static map was known: "
+                f"{self.longer} and run the same command again"
+            )
+        return (  # as many holds as there may be
+            "the static map is not known yet, and more holds would not help: noise hides the "
+            "oscillation, or the rig changes while theta is held; measure where it is stronger, or "
+            "set narrower limits of theta, and choose another --out"
+        )
 
     def narrow(self, rig: RigFile) -> RigFile:
         """Return the rig file with the limits of theta that keep the constraint."""
@@ -88,6 +110,16 @@ class ExcitationProgress:
         u = rig.u([hold.theta for hold in self.holds])
         levels, errors = np.array([(hold.level, hold.error) for hold in self.holds]).T
         return u, rig.sense * levels, errors
+
+
+def round_up(seconds: float) -> float:
+    """Return a time of two digits that is not shorter.
+
+    >>> round_up(1234.0)
+    1300.0
+    """
+    digit = 10.0 ** (math.floor(math.log10(max(seconds, 1.0))) - 1)
+    return math.ceil(seconds / digit) * digit
 
 
 class Excitation(NamedTuple):
