@@ -70,7 +70,9 @@ def test_the_absorber_rests_where_its_linear_system_is_stable_and_nowhere_else()
 @pytest.mark.parametrize(("name", "faster"), [("mode", (1.3, 1.0)), ("disturbance", (1.0, 1.3))])
 def test_an_oscillator_s_frequencies_move_as_it_ages(name, faster):
     rig, rng = (
-        oscillator.Oscillator(Namespace(rig="galloping", theta_initial=[4.0])),
+        oscillator.Oscillator(
+            Namespace(rig="galloping", theta_initial=[4.0], dt=oscillator.DT, slow=1.0)
+        ),
         random.Random(1),
     )
     n, frequencies = 8000, []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -110,7 +111,7 @@ class Processes:
                 "theta_initial": setting.theta_initial,
                 "seed": setting.seed,
             },
-            "koopman_lifter": {"model": setting.model} if setting.model else {},
+            "koopman_lifter": {"model": self._copy_model()} if setting.model else {},
             "relay_esc": {"theta_initial": setting.theta_initial},
             "fault_injector": {"time_scale": setting.time_scale},
         }
@@ -119,6 +120,10 @@ class Processes:
         for values in nodes.values():
             values["listeners"] = "next recorder"
         return nodes
+
+    def _copy_model(self) -> str:
+        """Copy the model to the run: a better one is written beside it."""
+        return str(Path(shutil.copy(self._scenario.setting.model, self.logs)).absolute())
 
     def _command(self, name: str) -> tuple[list[str], list[str] | None]:
         """Return the arguments of a process, and its program if it is not a node's executable."""

@@ -80,7 +80,7 @@ class Setting(KnobSettings):
         -3.0, "optimal theta, at the end", low=-1e3, high=1e3, per_knob=True
     )
     time_scale: float = parameter(
-        1.0, "simulated per real time; 1 is real time", low=0.01, high=100.0
+        1.0, "simulated per real time; 1 is real time", low=0.01, high=1e3
     )
     duration: float = parameter(
         60.0, "simulated time from the first state", unit="s", low=1.0, high=1e5

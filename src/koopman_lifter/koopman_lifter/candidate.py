@@ -4,7 +4,10 @@ From the change on samples are kept, as many as ``CANDIDATE.periods`` have: iden
 is the one from a recording, to the bit, a sample costs a copy, and nothing is updated that could
 wind up where the loop does not excite. They are cut into windows. From the first half of these the
 candidate is learned, its cost the contrast (:mod:`koopman_lifter.contrast`) between windows whose
-amplitude at the oscillation's frequency is large and small.
+amplitude at the oscillation's frequency is large and small. Where interference has drowned the
+oscillation, theta does not seek, and there is no order of windows to learn: then the candidate's
+cost is the direction with the most of its power at that frequency, if that cleans the cost
+(:class:`Shares`).
 
 On the other half, which it has not seen, it is judged against the model in use: by how well the
 cost orders the windows by that amplitude, which no model has a part in. With Spearman's rank
@@ -13,8 +16,8 @@ Pearson 1957), and the candidate is better if
 
     (atanh rho' - atanh rho) / sqrt(2.12 / (n - 3)) > CANDIDATE.better
 
-and its one-step error is not larger. Its projector is scaled so that the mean energy stays as it
-was, and with it what was tuned for the model in use.
+or it cleans the cost, and its one-step error is not larger. Its projector is scaled so that the
+mean energy stays as it was, and with it what was tuned for the model in use.
 
 A candidate that is used at once is on trial: for as many periods again the oscillation is compared
 with what it was before (:func:`growth`).
@@ -31,10 +34,19 @@ from numpy.typing import NDArray
 
 from koop_core.errors import InputError
 from koop_core.kernels import njit
-from koopman_lifter.contrast import can_split, moments, with_contrast
+from koopman_lifter.contrast import (
+    can_split,
+    in_band,
+    moments,
+    spectra,
+    with_band,
+    with_contrast,
+)
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.settings import CANDIDATE
+
+TINY = float(np.finfo(float).tiny)
 
 
 class Samples(NamedTuple):
@@ -82,6 +94,23 @@ def keep(samples: Samples, step: int, x: NDArray[np.float64]) -> None:
     samples.cursor[0] = i + 1
 
 
+class Shares(NamedTuple):
+    """Share of the power of what a cost is made of that lies at the oscillation's frequency.
+
+    See :func:`share`: under the model in use, and under the candidate.
+    """
+
+    in_use: float
+    candidate: float
+
+    @property
+    def clean(self) -> bool:
+        """Whether the candidate shows an oscillation that has drowned under the model in use."""
+        use, candidate = self
+        purer = candidate * (1.0 - use) > CANDIDATE.purer * use * (1.0 - candidate)
+        return purer and use < CANDIDATE.drowned <= candidate
+
+
 @dataclass(frozen=True)
 class Judgement:
     """The model in use and the candidate on windows that neither was learned from.
@@ -94,21 +123,32 @@ class Judgement:
         Rank correlation of the cost with the amplitude: of the model in use, of the candidate.
     errors : tuple of float
         One-step error over the observables' root mean square, of the same.
+    shares : Shares
+        Of the same.
     """
 
     windows: int
     ranks: tuple[float, float]
     errors: tuple[float, float]
+    shares: Shares
 
     @property
     def better(self) -> bool:
         """Whether the candidate is better."""
         z, z_candidate = (math.atanh(min(max(rho, -0.999), 0.999)) for rho in self.ranks)
         evidence = (z_candidate - z) / math.sqrt(2.12 / (self.windows - 3))
-        return evidence > CANDIDATE.better and self.errors[1] <= self.errors[0]
+        shows = self.shares.clean or evidence > CANDIDATE.better
+        return shows and self.errors[1] <= self.errors[0]
 
     def __str__(self) -> str:
         (rank, candidate), (error, after) = self.ranks, self.errors
+        if self.shares.clean:
+            use, shown = (100.0 * share for share in self.shares)
+            return (
+                f"on {self.windows} windows since the change {shown:.3g} % of the cost's power is "
+                f"the oscillation's under a new model, {use:.3g} % under the one in use; one-step "
+                f"errors are {after:.2g} and {error:.2g}"
+            )
         return (
             f"on {self.windows} windows since the change the cost follows the amplitude with a "
             f"rank correlation of {candidate:.2f} under a new model, {rank:.2f} under the one in "
@@ -144,7 +184,7 @@ def learn_candidate(
     half = len(windows) // 2
     amplitude = amplitudes(windows, frequency * model.dt)
     learned, judged = windows[:half], windows[half:]
-    if half < CANDIDATE.fewest or not can_split(amplitude[:half]):
+    if half < CANDIDATE.fewest:
         raise InputError(f"{len(windows)} windows since the change are too few to learn from")
     gram = _sum_up(model, learned)
     provenance = {
@@ -157,10 +197,16 @@ def learn_candidate(
     }
     count = int(model.kept.sum())
     candidate = build(gram, model.dt, model.state_names, count, provenance, model.delays)
-    joined = np.hstack(list(learned))
-    starts = windows.shape[2] * np.arange(half)
-    spread = moments(joined, starts, windows.shape[2], model.delays)
-    candidate = with_contrast(candidate, *spread, amplitude[:half])
+    cleaner = with_band(candidate, learned, frequency * model.dt)
+    if shares_of(model, cleaner, learned, frequency * model.dt).clean:
+        candidate = cleaner
+    elif can_split(amplitude[:half]):
+        joined = np.hstack(list(learned))
+        starts = windows.shape[2] * np.arange(half)
+        spread = moments(joined, starts, windows.shape[2], model.delays)
+        candidate = with_contrast(candidate, *spread, amplitude[:half])
+    else:
+        raise InputError("the oscillation was the same in all windows since the change")
     costs = [energies(each, judged, omega_h) for each in (model, candidate)]
     mean, new_mean = (float(each.means.mean()) for each in costs)
     if new_mean > 0.0:
@@ -169,7 +215,8 @@ def learn_candidate(
     seen = _sum_up(model, judged)
     use, new = (float(spearmanr(amplitude[half:], each.amplitudes).statistic) for each in costs)
     errors = one_step_error(model, seen), one_step_error(candidate, seen)
-    return candidate, Judgement(len(judged), (use, new), errors)
+    shares = shares_of(model, candidate, judged, frequency * model.dt)
+    return candidate, Judgement(len(judged), (use, new), errors, shares)
 
 
 def cut(samples: Samples, length: int) -> NDArray[np.float64]:
@@ -227,6 +274,24 @@ def energies(model: KoopmanModel, windows: NDArray[np.float64], omega_h: float) 
     alpha = math.exp(-omega_h * model.dt)
     passed = np.abs((1.0 - alpha) * (1.0 - delay) / (1.0 - alpha * delay) * spectrum)
     return Energies(y_out.mean(axis=1), (passed**2).sum(axis=1))
+
+
+def share(model: KoopmanModel, windows: NDArray[np.float64], frequency: float) -> float:
+    """Return the share of the power of what the cost is made of that lies in a band.
+
+    Of an oscillation, see :func:`koopman_lifter.contrast.in_band`.
+    """
+    lifted = (model.observables.lift(model.delays.embed(window)) for window in windows)
+    coordinates = np.stack([model.projector @ z for z in lifted])
+    power = (np.abs(spectra(coordinates)) ** 2).sum(axis=(0, 1))
+    return float(power[in_band(coordinates.shape[2], frequency)].sum() / max(power.sum(), TINY))
+
+
+def shares_of(
+    model: KoopmanModel, candidate: KoopmanModel, windows: NDArray[np.float64], frequency: float
+) -> Shares:
+    """Return :func:`share` of the model in use and of the candidate."""
+    return Shares(share(model, windows, frequency), share(candidate, windows, frequency))
 
 
 def one_step_error(model: KoopmanModel, gram: Gram) -> float:

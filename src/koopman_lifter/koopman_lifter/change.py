@@ -23,7 +23,9 @@ more, times what overlapping windows leave of new information.
 
 A frequency that has left that quarter tells the phases nothing. So spectra of what is listened to
 go on, each of some hundred periods: a change is also a line away from f0 of ten times the power
-that was ever there, before the last spectrum, and of ten times what is left at f0.
+that was ever there, before the last spectrum, and of ten times what is left at f0. If that is as
+much as half of what the last spectrum had there, the oscillation has stayed: the line is
+interference.
 """
 
 from __future__ import annotations
@@ -292,12 +294,21 @@ def follow_all(
 
 @dataclass(frozen=True)
 class Change:
-    """A mode that has moved: from and to [Hz]; NaN: too far for its phases to tell."""
+    """A mode that has moved: from and to [Hz]; NaN: too far for its phases to tell.
+
+    Or interference at the second frequency, which now outshines a mode that stays at the first.
+    """
 
     before: float
     after: float
+    interference: bool = False
 
     def __str__(self) -> str:
+        if self.interference:
+            return (
+                f"the rig has changed: interference at {self.after:.4g} Hz outshines its "
+                f"oscillation at {self.before:.4g} Hz"
+            )
         to = f"to {self.after:.4g} Hz"
         if math.isnan(self.after):
             to = f"Hz by more than {100.0 * TOLD:g} %"
@@ -386,11 +397,15 @@ class Watch:
             rows[: size // 2] = 0.5 * (rows[0::2] + rows[1::2])
             cursor[0], cursor[1] = size // 2, 2 * cursor[1]
             return
-        segment = max(round(2.0 * period / self._dt), 1)
-        self._spectrum = spectrum(segment, self.channels)
-        self._threshold = math.log(max(DAY / (segment * self._dt), 10.0))
+        self._follow_line(1.0 / period)
         self._scale = np.maximum(rows.std(axis=0), TINY)
         self._last = self._most = self._power()
+
+    def _follow_line(self, frequency: float) -> None:
+        """Learn what is known of an oscillation of a frequency [Hz]."""
+        segment = max(round(2.0 / (frequency * self._dt)), 1)
+        self._spectrum, self._tally = spectrum(segment, self.channels), Tally()
+        self._threshold = math.log(max(DAY / (segment * self._dt), 10.0))
 
     def _power(self) -> NDArray[np.float64]:
         """Return the power by bin of what was listened to, and listen again."""
@@ -413,6 +428,9 @@ class Watch:
             if rise[peak] > WATCH.outshone:
                 line = slice(peak - LEAKED, peak + LEAKED + 1)
                 at = float(np.average(bins[line], weights=power[line])) * hertz
+                if left >= WATCH.stayed * self._last[away <= 0.5 * LEFT].max(initial=TINY):
+                    self._most = np.maximum(self._most, power)
+                    return Change(own, at, interference=True)
                 self.begin()
                 return Change(own, at)
         self._most, self._last = np.maximum(most, self._last), power
@@ -429,10 +447,17 @@ class Watch:
         self._tally = tally
 
     def judge(self) -> Change:
+        """Return the change that the phases show, and learn again what is known.
+
+        A line that they tell is followed on: what is listened to may hold stronger ones by now.
+        """
         t = self._tally
         after, end = (t.above.e, t.high) if t.above.s > t.below.s else (t.below.e, t.low)
         change = Change(self._hertz(end), self._hertz(after if abs(after) <= TOLD else math.nan))
-        self.begin()
+        if math.isnan(change.after):
+            self.begin()
+        else:
+            self._follow_line(change.after)
         return change
 
     def _hertz(self, e: float) -> float:

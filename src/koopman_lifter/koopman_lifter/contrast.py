@@ -52,10 +52,10 @@ def with_contrast(
     koop_core.errors.InputError
         If there are fewer than two windows, or a state, or a combination of states, never moves.
     """
-    n = model.observables.n
     if len(covariances) < 2:
         raise InputError("the contrast needs weak and strong oscillation: two trajectories")
     if model.delays.count > 1:  # samples of a smooth signal nearly depend on each other
+        n = covariances.shape[1]
         usual = np.trace(covariances.mean(axis=0)) / n
         covariances = covariances + LEARNING.ridge * usual * np.eye(n)
     try:
@@ -67,11 +67,56 @@ def with_contrast(
         raise InputError(
             "a state, or a combination of states, never moves: it has no contrast"
         ) from None
+    # the centre of the oscillation; a strong one is too slow for its mean to tell
+    return _with_direction(model, direction, means[weak].mean(axis=0))
+
+
+def with_band(model: KoopmanModel, windows: NDArray[np.float64], frequency: float) -> KoopmanModel:
+    """Return the model with the direction whose power lies most within a band.
+
+    The band is that of an oscillation (:func:`in_band`), and the direction the generalised
+    eigenvector of the covariances within and beyond it (spatio-spectral decomposition; Nikulin,
+    Nolte and Curio, NeuroImage 55, 2011): theta need not move for it.
+
+    Parameters
+    ----------
+    model : KoopmanModel
+    windows : ndarray, shape (T, channels, M)
+        Consecutive samples.
+    frequency : float
+        Of the oscillation, in cycles a sample.
+    """
+    states = np.stack([model.delays.embed(window) for window in windows])
+    lines = spectra(states)
+    inside = in_band(states.shape[2], frequency)
+    within, beyond = (
+        np.einsum("tif,tjf->ij", part, part.conj()).real
+        for part in (lines[..., inside], lines[..., ~inside])
+    )
+    beyond += LEARNING.ridge * np.trace(beyond) * np.eye(len(beyond))
+    return _with_direction(
+        model, _extremes(within[None], beyond[None])[:, -1], states.mean(axis=(0, 2))
+    )
+
+
+def spectra(windows: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Return the lines of windows, shape (T, n, M): those three bins away are out."""
+    centred = windows - windows.mean(axis=2, keepdims=True)
+    return np.asarray(np.fft.rfft(centred * np.blackman(windows.shape[2])))
+
+
+def in_band(length: int, frequency: float) -> NDArray[np.bool_]:
+    """Return which lines of windows lie within half a frequency of it, in cycles a sample."""
+    return np.asarray(np.abs(np.fft.rfftfreq(length) - frequency) <= 0.5 * frequency)
+
+
+def _with_direction(
+    model: KoopmanModel, direction: NDArray[np.float64], mean: NDArray[np.float64]
+) -> KoopmanModel:
     direction = direction / np.abs(direction).sum()
     rows = np.zeros((1, model.observables.p))
-    rows[0, 1 : n + 1] = direction
-    # the centre of the oscillation; a strong one is too slow for its mean to tell
-    rows[0, 0] = -direction @ means[weak].mean(axis=0)
+    rows[0, 1 : direction.size + 1] = direction
+    rows[0, 0] = -direction @ mean
     return replace(model, projector=rows)
 
 

@@ -344,10 +344,15 @@ class LifterRun(Run):
     # -- after a change -----------------------------------------------------------------------
 
     def _note(self, change: Change | None) -> None:
-        """Take a change; what was learned since an earlier one is of a rig that is gone."""
+        """Take a change; what was learned since an earlier one is of a rig that is gone.
+
+        Where interference creeps on, it is learned as it comes.
+        """
         if change is not None:
+            creeps = change.interference and self._change is not None and self._trial is None
             self._change = change
-            self._end_search()
+            if not creeps:
+                self._end_search()
 
     def _end_search(self) -> None:
         if self._search is not None:

@@ -43,6 +43,9 @@ class WatchSettings(Settings):
     outshone: float = judged(
         10.0, "power of a line over what was there and is left, when it is the oscillation", low=2.0
     )
+    stayed: float = judged(
+        0.5, "of the power of the oscillation's line that is left where it has not moved", low=0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,13 @@ class CandidateSettings(Settings):
         2.0, "standard errors of the rank correlation by which the candidate's is higher", low=0.0,
         origin="one in 44 where they are equal",
     )  # fmt: skip
+    drowned: float = judged(
+        0.5, "share of the cost's power at the oscillation's frequency, if less it has drowned",
+        low=0.0, high=1.0,
+    )  # fmt: skip
+    purer: float = judged(
+        10.0, "power at that frequency over the rest, of a candidate over a drowned cost's", low=1.0
+    )
     worse: float = judged(
         1.2, "factor by which the oscillation grows under a model that is given back", low=1.0
     )

@@ -141,11 +141,17 @@ def test_where_nothing_moves_nothing_is_found():
     assert watch.frequency is None
 
 
-def test_after_a_change_the_new_frequency_is_known():
-    before, after = samples(LEARNED), samples(LEARNED + 100)
+def test_interference_that_appears_is_no_motion_of_the_oscillation_which_is_followed_on():
+    before, after = samples(LEARNED), samples(2 * LEARNED + 100)
     frequency = np.ones(before + after)
-    frequency[before:] = 1.2
+    x = swinging(frequency, 1.0, noise=0.03)
+    t = DT * np.arange(before + after)
+    x[before:, 0] += 4.0 * np.sin(2.0 * np.pi * 2.3 * t[before:])
+    frequency[before + samples(LEARNED) :] = 1.1
+    x[:, 0] += np.sin(2.0 * np.pi * DT * np.cumsum(frequency)) - np.sin(2.0 * np.pi * t)
     watch = Watch(1, DT)
-    assert len(changes(watch, swinging(frequency, noise=0.1))) == 1
+    (_, interference), (_, moved) = changes(watch, x)
+    assert str(interference).endswith("interference at 2.3 Hz outshines its oscillation at 1 Hz")
+    assert moved.after == pytest.approx(1.1, abs=0.04)
     assert watch.learned
-    assert watch.frequency == pytest.approx(1.2, rel=5e-3)
+    assert watch.frequency == pytest.approx(1.1, rel=5e-3)

@@ -17,7 +17,8 @@ from typing import Any
 
 from stand import Actuation, SimulatedRig, parse_rig, start
 
-DT = 0.005  # [s]
+DT = 0.005  # usual time between two samples [s]
+STEP = 0.01  # of the integration, at most [s]
 START, STROKE = 2.0, 5.0  # of theta
 DELAY, RATE = 0.02, 1.0  # of the actuator [s], [1/s]
 State = tuple[float, float]
@@ -131,10 +132,12 @@ def advance(physics: Physics, t: float, dt: float, state: State, theta: float) -
 class Oscillator(SimulatedRig):
     """One of :data:`RIGS` with its sensors, noisy and quantised."""
 
-    dt, message, topics = DT, "MeasuredState", ("state", "theta")
+    message, topics = "MeasuredState", ("state", "theta")
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._name, self._physics = args.rig, RIGS[args.rig]
+        self.dt, self._slow = args.dt, args.slow
+        self._steps = math.ceil(self.dt / self._slow / STEP)
         self._x = self._physics.start
         self._age = {"shift": 0.0, "mode": 1.0, "disturbance": 1.0}
         self._ahead = {"mode": 0.0, "disturbance": 0.0}  # of the time, for it went faster [s]
@@ -143,16 +146,19 @@ class Oscillator(SimulatedRig):
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], State]:
         """Return what the sensors say at a time [s], and the true state."""
         physics = self._physics
-        added = physics.disturbance(t + self._ahead["disturbance"])
+        added = physics.disturbance(t / self._slow + self._ahead["disturbance"])
         noisy = (value + added + rng.gauss(0.0, physics.noise) for value in self._x)
         return [round(value / physics.resolution) * physics.resolution for value in noisy], self._x
 
     def advance(self, t: float, theta: float) -> None:
         """Go on by one sample."""
         theta, mode = theta - self._age["shift"], self._age["mode"]
-        self._x = advance(self._physics, t + self._ahead["mode"], mode * DT, self._x, theta)
+        begin, span = t / self._slow + self._ahead["mode"], self.dt / self._slow
+        step = mode * span / self._steps
+        for i in range(self._steps):
+            self._x = advance(self._physics, begin + i * step, step, self._x, theta)
         for name in self._ahead:
-            self._ahead[name] += (self._age[name] - 1.0) * DT
+            self._ahead[name] += (self._age[name] - 1.0) * span
         if not math.isfinite(self._x[0] + self._x[1]):
             raise ValueError(f"{self._name} broke at t = {t:g} s")
 
@@ -167,4 +173,6 @@ def register(rigs: Any) -> None:
     """Add them to the command line."""
     for name, physics in sorted(RIGS.items()):
         words = physics.derivative.__qualname__.split(".")[0].replace("_", " ")
-        parse_rig(rigs, name, f"{words}, on our own types", Oscillator)
+        parser = parse_rig(rigs, name, f"{words}, on our own types", Oscillator)
+        parser.add_argument("--dt", type=float, default=DT, help="between two samples [s]")
+        parser.add_argument("--slow", type=float, default=1.0, help="its times are as many as long")
