@@ -177,15 +177,19 @@ def subscribe(
 
 
 def waiting(subscription: Any, kind: Any) -> Iterator[tuple[int, int, bytes]]:
-    """Take the messages that wait: when received and sent [ns], and the serialized message."""
-    take = subscription.handle.take_message
+    """Take the messages that wait: when received and sent [ns], and the serialized message.
+
+    One that was lost and sent again is received after those that waited for it: so are they.
+    """
+    take, received = subscription.handle.take_message, 0
     for _ in range(_AT_ONCE):
         item = take(kind, True)
         if item is None:
             return
         data, info = item
         # not every DDS gives the time of reception
-        yield info["received_timestamp"] or time.time_ns(), info["source_timestamp"], data
+        received = max(received, info["received_timestamp"] or time.time_ns())
+        yield received, info["source_timestamp"], data
 
 
 def fetch(topics: Collection[RecordedTopic], nodes: Iterable[WatchedNode] = ()) -> list[Row]:
