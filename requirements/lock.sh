@@ -17,15 +17,16 @@ compile() {  # compile OUTPUT uv-arguments...
     --output-file "$output" "$@"
 }
 
-compile "$all" ros.in python.in hil.in plants.in store.in
-compile ros.txt --constraints "$all" ros.in
+compile "$all" ros-jazzy.in python.in hil.in plants.in store.in
+compile ros-jazzy.txt --constraints "$all" ros-jazzy.in
+compile ros-kilted.txt --constraints <(grep -v ^ros- "$all") ros-kilted.in
 compile hil.txt --constraints "$all" hil.in
 # NumPy comes with python.txt or an installed ROS 2.
 compile plants.txt --constraints "$all" --no-emit-package numpy plants.in
 compile store.txt --constraints "$all" store.in
 compile docs.txt docs.in
 # An installed ROS 2 brings these three, and its binaries want the versions they were built with. On the wheels they
-# come with ros.txt.
+# come with ros-*.txt.
 # colcon asks for coverage and pytest-cov, and needs them for `colcon test --pytest-with-coverage` only; where coverage is
 # installed, numba imports it in every node and every command: 0.07 s of a processor each time.
 compile python.txt --constraints "$all" \

@@ -88,7 +88,7 @@ choose_python() {
 check_underlay() {
   choose_python
   [[ -z $PYTHON ]] || return 0
-  say "a ROS 2 Jazzy is sourced, but no Python here can import its rclpy: the Jazzy wheels are used"
+  say "a ROS 2 ${DISTRO^} is sourced, but no Python here can import its rclpy: the ${DISTRO^} wheels are used"
   printf '%s' "$UNDERLAY" >"$REFUSED"
   UNDERLAY=wheels
   clean_environment
@@ -180,7 +180,7 @@ install_plants() {
 
 # An environment of the same place, ROS 2 and interpreter is kept: pip then installs only what differs, be it after a
 # set-up that was interrupted or because of new pins.
-venv_origin() { venv_place; python_id "$PYTHON"; sha256sum <"$ROOT/requirements/ros.txt"; }
+venv_origin() { venv_place; python_id "$PYTHON"; sha256sum <"$ROOT/requirements/ros-$DISTRO.txt"; }
 venv_is_of_same_origin() {
   [[ -f $VENV_ORIGIN && $(<"$VENV_ORIGIN") == "$(venv_origin)" ]] && "$VENV/bin/python" -m pip --version &>/dev/null
 }
@@ -208,7 +208,7 @@ refuse_while_in_use() {
 
 set_up_venv() {
   [[ $(uname -sm) == 'Linux x86_64' ]] || die 4 "the ROS 2 wheels are for Linux on x86-64, this is $(uname -sm)"
-  [[ -z $OTHER_DISTRO ]] || say "ROS 2 $OTHER_DISTRO is sourced, not jazzy: it is left aside, the Jazzy wheels are used"
+  [[ -z $OTHER_DISTRO ]] || say "ROS 2 $OTHER_DISTRO is sourced, not $DISTRO: it is left aside, the ${DISTRO^} wheels are used"
   choose_python
   ensure_system_packages
   [[ -n $PYTHON ]] || choose_python
@@ -226,7 +226,7 @@ set_up_venv() {
   fi
 
   local files=(-r "$ROOT/requirements/python.txt" -r "$ROOT/requirements/hil.txt")
-  [[ $UNDERLAY != wheels ]] || files+=(-r "$ROOT/requirements/ros.txt")
+  [[ $UNDERLAY != wheels ]] || files+=(-r "$ROOT/requirements/ros-$DISTRO.txt")
   step "Installing Python packages$([[ $UNDERLAY != wheels ]] || echo ' and ROS 2 wheels')" install_python "${files[@]}"
   [[ $UNDERLAY != wheels ]] || step "Setting the include paths of the ROS 2 wheels" fix_include_paths
   venv_key >"$VENV_STAMP.new"
@@ -289,7 +289,7 @@ set_up_workspace() {
 enter_underlay() {
   export PATH=$VENV/bin:$PATH VIRTUAL_ENV=$VENV
   [[ $UNDERLAY == wheels ]] || return 0
-  export ROS_DISTRO=jazzy ROS_VERSION=2 ROS_PYTHON_VERSION=3
+  export ROS_DISTRO=$DISTRO ROS_VERSION=2 ROS_PYTHON_VERSION=3
   export AMENT_PREFIX_PATH=$VENV CMAKE_PREFIX_PATH=$VENV
   # The wheels' bootstrapper would set this and start every Python a second time; the mark tells it that it's done.
   local folder

@@ -8,12 +8,13 @@ import pytest
 from lifecycle_msgs.srv import GetState
 
 from koop_node.node.dds_profile import TRANSPORTS
+from koop_node.process.joining import FAST_DDS
 
 
 def mailboxes(process):
     """Return the files in shared memory by which a process hears."""
     links = [os.readlink(item) for item in Path(f"/proc/{process.process.pid}/fd").iterdir()]
-    return [link for link in links if re.fullmatch(r"/dev/shm/fastrtps_port\d+_el", link)]
+    return [link for link in links if re.fullmatch(rf"/dev/shm/{FAST_DDS}_port\d+_el", link)]
 
 
 @pytest.mark.parametrize(("transports", "wanted"), [(None, True), ("UDPv4", False)])

@@ -39,6 +39,7 @@ from koop_lab.recorded.report import read
 from koop_loop import parameters
 from koop_loop.parameters import changed
 from koop_node.node.qos import KEPT
+from koop_node.process.joining import FAST_DDS
 from koop_tune.result.parameter_text import KNOWN
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import as_values
@@ -406,7 +407,7 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(
 ):
     process, nodes = up()
     for pid in nodes.values():  # a mailbox in shared memory may be lost with who is killed
-        assert "fastrtps_port" not in Path(f"/proc/{pid}/maps").read_text()
+        assert f"{FAST_DDS}_port" not in Path(f"/proc/{pid}/maps").read_text()
     fast_rig.spike = True
     home(fast_rig, process)
     fast_rig.spike = False

@@ -109,7 +109,7 @@ def test_first_call_makes_the_environment_and_builds_every_package(clone: Clone)
     venv, pip, colcon = clone.calls()
     assert venv.startswith("-m venv")
     assert "--no-deps" in pip
-    assert "ros.txt" in pip
+    assert "ros-jazzy.txt" in pip
     assert "--packages-select first second " in colcon
 
 
@@ -206,7 +206,7 @@ def test_changed_pins_keep_the_python_of_the_environment_whichever_is_first_on_t
 
 
 def test_changed_ros_wheels_make_a_new_environment_and_build(ready: Clone) -> None:
-    with (ready.root / "requirements/ros.txt").open("a") as file:
+    with (ready.root / "requirements/ros-jazzy.txt").open("a") as file:
         file.write("# changed\n")
     assert ready.koop("setup")[0] == 0
     assert [call.split()[1] for call in ready.calls()] == ["venv", "uv", "build"]
@@ -429,7 +429,7 @@ def test_sourced_jazzy_takes_the_place_of_the_wheels(clone: Clone, tmp_path: Pat
     # The inner call, from within the sourced workspace, found everything made.
     venv, pip, _ = clone.calls()
     assert "--system-site-packages" in venv
-    assert "ros.txt" not in pip
+    assert "ros-jazzy.txt" not in pip
     assert out.endswith(f"/install/first:{jazzy}\n")
 
 
@@ -466,7 +466,7 @@ def user(ready: Clone) -> Iterator[subprocess.Popen[bytes]]:
     process.wait()
 
 
-@pytest.mark.parametrize("pins", ["ros.txt", "python.txt"])
+@pytest.mark.parametrize("pins", ["ros-jazzy.txt", "python.txt"])
 def test_an_environment_in_use_is_not_replaced(
     ready: Clone, user: subprocess.Popen[bytes], pins: str
 ) -> None:
@@ -498,7 +498,7 @@ def test_sourced_jazzy_without_a_fitting_python_gives_way_to_the_wheels(
     code, out, err = clone.koop("shell", "-c", 'echo "$AMENT_PREFIX_PATH"', **environment)
     assert code == 0, err
     assert "no Python here can import its rclpy" in err
-    assert "ros.txt" in clone.calls()[1]
+    assert "ros-jazzy.txt" in clone.calls()[1]
     assert str(tmp_path / "jazzy") not in out
     clone.koop("setup", **environment)
     assert clone.calls() == []
@@ -510,7 +510,21 @@ def test_other_distribution_is_named_and_does_not_leak_in(clone: Clone) -> None:
     assert code == 0, err
     assert "ROS 2 humble is sourced, not jazzy" in err
     assert "/opt/ros" not in out
-    assert "ros.txt" in clone.calls()[1]
+    assert "ros-jazzy.txt" in clone.calls()[1]
+
+
+@pytest.mark.parametrize("by", ["KOOP_ROS", "ROS_DISTRO"])
+def test_another_ros_that_is_tried_is_asked_for_or_sourced(ready: Clone, by: str) -> None:
+    code, out, err = ready.koop("shell", "-c", "echo $ROS_DISTRO", **{by: "kilted"})
+    assert (code, out) == (0, "kilted\n"), err
+    venv, pip, *_ = ready.calls()
+    assert venv.startswith("-m venv")  # nothing of Jazzy stays
+    assert "ros-kilted.txt" in pip
+
+
+def test_a_ros_that_is_not_tried_is_refused(ready: Clone) -> None:
+    code, out, err = ready.koop("setup", KOOP_ROS="humble")
+    assert (code, out, err) == (2, "", "koop: KOOP_ROS=humble is none of jazzy kilted\n")
 
 
 def test_an_edited_source_drops_the_compiled_kernels_of_all_that_may_call_it(ready: Clone) -> None:

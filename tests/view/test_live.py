@@ -28,6 +28,7 @@ from websockets.frames import Frame, Opcode
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_bringup.live.process import NodeProcess
+from koop_node.process.joining import FAST_DDS
 from koop_view.recorded import RecordedSource
 
 HERE = Path(__file__).parent
@@ -204,7 +205,7 @@ def lose_mailboxes(process):
         link = ""
         with suppress(FileNotFoundError):  # closed by now
             link = os.readlink(descriptor)
-        if re.fullmatch(r"/dev/shm/fastrtps_port\d+_el", link):  # the lock of who listens there
+        if re.fullmatch(rf"/dev/shm/{FAST_DDS}_port\d+_el", link):  # the lock of who listens there
             Path(link.removesuffix("_el")).unlink(missing_ok=True)
 
 

@@ -16,7 +16,7 @@ import pytest
 from koop_node.client.client import Client
 from koop_node.process import joining
 from koop_node.process.domain import FIRST_PORT, PORTS, hold_domain
-from koop_node.process.joining import FOLDER, LOCKED, remove_dead, remove_unfilled
+from koop_node.process.joining import FAST_DDS, FOLDER, LOCKED, remove_dead, remove_unfilled
 
 JOIN = """
 import sys
@@ -56,13 +56,13 @@ LONG = 60.0  # [s] for a process to start on a busy machine
 
 def mailbox(domain):
     """Return the mailbox of a domain's first participant (DDSI-RTPS 9.6.1)."""
-    return FOLDER / f"fastrtps_port{FIRST_PORT + PORTS * domain + 11}"
+    return FOLDER / f"{FAST_DDS}_port{FIRST_PORT + PORTS * domain + 11}"
 
 
 def sent_by(pid):
     """Return the files that hold what a process has sent."""
     links = {os.readlink(item) for item in Path(f"/proc/{pid}/fd").iterdir() if item.is_symlink()}
-    found = [re.fullmatch(r"(/dev/shm/fastrtps_[0-9a-f]{16})_el", link) for link in links]
+    found = [re.fullmatch(rf"(/dev/shm/{FAST_DDS}_[0-9a-f]{{16}})_el", link) for link in links]
     return [Path(match[1]) for match in found if match]
 
 
@@ -127,7 +127,7 @@ def test_what_a_killed_process_had_sent_is_removed_and_what_a_living_one_has_is_
 def test_a_mailbox_that_is_filled_meanwhile_stays(tmp_path, monkeypatch):
     monkeypatch.setattr(joining, "FOLDER", tmp_path)
     monkeypatch.setattr(joining, "FILLING", 1.0)
-    slow, dead, lock = (tmp_path / f"fastrtps_port{end}" for end in ("7411", "7413", "7411_el"))
+    slow, dead, lock = (tmp_path / f"{FAST_DDS}_port{end}" for end in ("7411", "7413", "7411_el"))
     for path in (slow, dead, lock):
         path.write_bytes(b"")
     looked = threading.Event()

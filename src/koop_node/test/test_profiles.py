@@ -8,12 +8,15 @@ from pathlib import Path
 import pytest
 
 from koop_node.node.dds_profile import PROFILE, TRANSPORTS, set_dds_profile
+from koop_node.process.joining import FAST_DDS
 
 OWN = Path(str(files("koop_node")))
+NODES, BY_UDP = OWN / f"{FAST_DDS}.xml", OWN / f"{FAST_DDS}_udp.xml"
 
 
-def test_the_profile_by_udp_differs_from_the_nodes_in_how_it_is_sent_to_only():
-    nodes, by_udp = (ET.parse(OWN / name) for name in ("fastdds.xml", "fastdds_udp.xml"))
+@pytest.mark.parametrize("name", ["fastrtps", "fastdds"])
+def test_the_profile_by_udp_differs_from_the_nodes_in_how_it_is_sent_to_only(name):
+    nodes, by_udp = (ET.parse(OWN / f"{name}{udp}.xml") for udp in ("", "_udp"))
     participant = next(item for item in by_udp.iter() if item.tag.endswith("}rtps"))
     (address,) = [item for item in participant if item.tag.endswith("}defaultUnicastLocatorList")]
     assert [item.tag.rpartition("}")[2] for item in address.iter()][1:] == ["locator", "udpv4"]
@@ -26,10 +29,10 @@ def test_the_profile_by_udp_differs_from_the_nodes_in_how_it_is_sent_to_only():
 @pytest.mark.parametrize(
     ("options", "udp", "expected"),
     [
-        (None, False, OWN / "fastdds.xml"),
-        (None, True, OWN / "fastdds_udp.xml"),
-        (OWN / "fastdds.xml", True, OWN / "fastdds_udp.xml"),  # of the command that started it
-        (OWN / "fastdds_udp.xml", False, OWN / "fastdds.xml"),
+        (None, False, NODES),
+        (None, True, BY_UDP),
+        (NODES, True, BY_UDP),  # of the command that started it
+        (BY_UDP, False, NODES),
         ("/etc/rig/dds.xml", True, "/etc/rig/dds.xml"),
         ("", False, ""),
     ],
@@ -48,10 +51,10 @@ def test_a_profile_of_the_users_stays_and_one_of_a_parent_does_not(
 
 @pytest.mark.parametrize(
     ("transports", "expected"),
-    [("UDPv4", OWN / "fastdds_udp.xml"), ("SHM", OWN / "fastdds.xml"), ("", OWN / "fastdds.xml")],
+    [("UDPv4", BY_UDP), ("SHM", NODES), ("", NODES)],
 )
 def test_who_asks_fast_dds_for_udp_is_sent_to_by_udp(monkeypatch, transports, expected):
-    monkeypatch.setenv(PROFILE, str(OWN / "fastdds.xml"))
+    monkeypatch.setenv(PROFILE, str(NODES))
     monkeypatch.setenv(TRANSPORTS, transports)
     set_dds_profile()
     assert os.environ[PROFILE] == str(expected)

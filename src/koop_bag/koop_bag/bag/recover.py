@@ -62,7 +62,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         opened = [stack.enter_context(closing(McapFile(path))) for path in files]
         described = _description(opened)
         check_messages_plain(described, Path(source))
-        distro = str(described.get("ros_distro") or "jazzy")
+        distro = str(described.get("ros_distro") or "")
         writer = stack.enter_context(BagWriter(target, ros_distro=distro))
         writer.custom_data.update(custom_texts(described))
         report, topics = Recovery(), dict[str, int]()

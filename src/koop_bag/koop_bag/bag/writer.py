@@ -1,5 +1,6 @@
 """Writes a rosbag2 bag (ROS 2 Jazzy, MCAP): a folder of `<name>_N.mcap` and `metadata.yaml`."""
 
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,7 +83,7 @@ class BagWriter:
     options : WriterOptions
         Compression, chunks, splitting.
     ros_distro : str
-        Distribution that the messages were recorded with.
+        Distribution that the messages were recorded with; default: this process's.
 
     Attributes
     ----------
@@ -104,13 +105,13 @@ class BagWriter:
         self,
         folder: str | Path,
         options: WriterOptions | None = None,
-        ros_distro: str = "jazzy",
+        ros_distro: str = "",
     ) -> None:
         self.folder = Path(folder)
         self.options = options or WriterOptions()
         self.custom_data: dict[str, str] = {}
         self.topics: list[TopicRecord] = []
-        self._ros_distro = ros_distro
+        self._ros_distro = ros_distro or os.environ.get("ROS_DISTRO", "jazzy")
         self._channels: list[tuple[Schema, Channel]] = []
         self._sequences: dict[int, int] = {}
         self._notes: dict[str, dict[str, str]] = {}

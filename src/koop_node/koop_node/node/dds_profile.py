@@ -6,7 +6,9 @@ import os
 from importlib.resources import files
 from pathlib import Path
 
-PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # environment variables of Fast DDS
+from koop_node.process.joining import FAST_DDS
+
+PROFILE = f"{FAST_DDS.upper()}_DEFAULT_PROFILES_FILE"  # environment variables of Fast DDS
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 
 
@@ -21,4 +23,4 @@ def set_dds_profile(udp: bool = False) -> None:
     udp = udp or os.environ.get(TRANSPORTS) == "UDPv4"
     folder = Path(str(files("koop_node")))
     if Path(os.environ.get(PROFILE, folder / "none")).parent == folder:  # none, or a parent's
-        os.environ[PROFILE] = str(folder / ("fastdds_udp.xml" if udp else "fastdds.xml"))
+        os.environ[PROFILE] = str(folder / f"{FAST_DDS}{'_udp' * udp}.xml")

@@ -1,4 +1,4 @@
-"""Joining and leaving a ROS domain, where Fast DDS 2.14 may hang for ever. Pure: no ROS.
+"""Joining and leaving a ROS domain, where Fast DDS may hang for ever. Pure: no ROS.
 
 A participant has a mailbox in shared memory, a file that is made first and filled then. Who opens
 one waits until it is filled: for ever, if its maker was killed in between, and in rclpy with
@@ -21,8 +21,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+FAST_DDS = "fastrtps" if os.environ.get("ROS_DISTRO", "jazzy") == "jazzy" else "fastdds"
+"""How what is Fast DDS's is called: 2.14 in Jazzy, 3 in what came after."""
 FOLDER = Path("/dev/shm")
-MAILBOXES, LOCKS = "fastrtps_port*[0-9]", "fastrtps_" + 16 * "[0-9a-f]" + "_el"
+MAILBOXES, LOCKS = f"{FAST_DDS}_port*[0-9]", f"{FAST_DDS}_" + 16 * "[0-9a-f]" + "_el"
 LOCKED = 60.0  # [s] after which a new lock is taken by its maker
 FILLING = 5.0  # [s] in which a mailbox is filled; on a busy machine threads waited for up to 4 s
 JOINING = 30.0  # [s] in which a domain is joined; a mailbox whose lock is kept delays by 3 s
