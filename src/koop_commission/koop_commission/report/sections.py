@@ -80,9 +80,8 @@ def make_static_map(c: Contents) -> Section:
                 f"{math.exp(fit.best):.3g}; below {fit.amplitude.floor:.2g} nothing can be "
                 "resolved."
             )
-            if len(fit.modes) > 1:
-                shares = "; ".join(mode.describe() for mode in fit.modes[:6])
-                intro += f" Shares in the amplitude's square over theta: {shares}."
+            if fit.shares:
+                intro += f" Shares in the amplitude's square over theta: {fit.shares}."
         intro += f" Note: {fit.moved}." * bool(fit.moved)
     if c.tuned.is_refused:
         intro += f" Refused ({c.tuned.verdict}): {c.tuned.why}."

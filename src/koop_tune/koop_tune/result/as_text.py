@@ -53,9 +53,7 @@ def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
     if useless and result.controller:
         lines.append(f"no effect, so they rest: {', '.join(useless)}")
     lines += [fit.moved] * bool(fit.moved)
-    if len(fit.modes) > 1:
-        shares = "; ".join(mode.describe() for mode in fit.modes[:6])
-        lines.append(f"share in the amplitude's square over theta: {shares}")
+    lines += [f"share in the amplitude's square over theta: {fit.shares}"] * bool(fit.shares)
     if result.costs:
         rows = []
         for cost in result.costs:

@@ -109,6 +109,11 @@ class AmplitudeMap:
     knob: int = 0
 
     @property
+    def shares(self) -> str:
+        """Its largest parts with their shares, in words; empty if it has one part only."""
+        return "; ".join(mode.describe() for mode in self.modes[:6]) * (len(self.modes) > 1)
+
+    @property
     def moved(self) -> str:
         """What a motion of the optimum means for the map, in words; empty without one."""
         if not self.motion:
