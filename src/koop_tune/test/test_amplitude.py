@@ -144,6 +144,18 @@ def test_the_background_is_that_of_holds_that_are_known():
     assert 0.7 * floor < background < 1.3 * floor
 
 
+def test_what_two_lines_leak_into_the_bin_between_them_does_not_react():
+    # they beat 2.02 times a window: a hold of three windows sees the same in each, the next other
+    rng = np.random.default_rng(5)
+    t, size = np.arange(12 * 3 * LENGTH) * DT, np.repeat(np.linspace(1.0, 0.05, 12), 3 * LENGTH)
+    lines = sum(16.0 * np.sin(2 * np.pi * k * t / WINDOWS.seconds) for k in (7.17, 9.19))
+    x = size * np.sin(2 * np.pi * 4.2 * t) + lines + 0.02 * rng.normal(size=t.size)
+    holds = list(WINDOWS.powers(x[:, None]).reshape(12, 3, 1, -1))
+    amplitude = choose_amplitude(WINDOWS, holds)
+    assert np.all(np.abs(WINDOWS.frequency[amplitude.weight[0] > 0.0] - 4.2) < 0.5)
+    assert levels(amplitude, holds)[-1] == pytest.approx(0.05, rel=0.1)
+
+
 def test_a_line_beside_a_harmonic_is_background_once_the_harmonic_is_gone():
     rng, size, line = np.random.default_rng(8), np.array([0.03, 0.06, 0.1, 0.2, 0.5, 1.0]), 0.2
     holds = [hold(rng, [(2.0, a), (4.0, a**2), (4.1, line)], noise=0.002) for a in size]
