@@ -19,7 +19,6 @@ from koop_bag.bag.metadata import (
 )
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, inner_places
-from koop_bag.mcap.stored_file import stored_path
 
 
 class RawMessage(NamedTuple):
@@ -50,8 +49,7 @@ class BagReader:
     Parameters
     ----------
     path : path
-        A bag folder, a folder that holds one as `bag/`, or an `.mcap` file; or the URL of one,
-        such as s3://BUCKET/RUN.
+        A bag folder, a folder that holds one as `bag/`, or an `.mcap` file.
 
     Attributes
     ----------
@@ -73,7 +71,7 @@ class BagReader:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = stored_path(path)
+        self.path = Path(path)
         self.files = find_files(self.path)
         self._topics: dict[str, BagTopic] = {}
         self.message_count = 0
