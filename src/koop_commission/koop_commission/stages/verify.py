@@ -29,7 +29,7 @@ from koop_tune.search.rounds import (
     VERIFIED,
     Round,
     Verification,
-    find_longer,
+    inform,
     load_verification,
 )
 
@@ -86,9 +86,9 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     aim = tune_result.read(folder / TUNED).make_aim(rig)
     rounds = list(load_verification(folder).rounds)
     if not rounds or rounds[-1].finished or rounds[-1].prediction != aim.predicted:
-        rounds.append(Round(len(rounds) + 1, aim.predicted))
+        rounds.append(Round(len(rounds) + 1, aim.predicted, best=aim.y))
     current = rounds.pop()
-    aim = replace(aim, longer=find_longer(rounds))
+    aim = inform(aim, rounds)
     done = [run.start for run in current.runs]
     left = [theta for theta in find_starts(rig, state) if theta not in done]
     settling = max([aim.time, aim.growth, *(hold.settled for hold in state.holds)])
@@ -153,7 +153,8 @@ def judge(rig: RigFile, folder: Path, index: int) -> Verification:
         Round in which that controller was verified; the first is 0.
     """
     aim = tune_result.read(folder / TUNED).make_aim(_read_excitation(rig, folder)[0])
-    return _conclude(load_verification(folder).rounds, index, aim, folder)
+    rounds = load_verification(folder).rounds
+    return _conclude(rounds, index, inform(aim, rounds[:index]), folder)
 
 
 def _conclude(rounds: tuple[Round, ...], index: int, aim: Aim, folder: Path) -> Verification:

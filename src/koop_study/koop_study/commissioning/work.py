@@ -31,7 +31,7 @@ from koop_tune.result.summary import summarise
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
 from koop_tune.search.findings import NoOptimum
-from koop_tune.search.rounds import LoopRun, Round, find_longer, find_slowdown, kept_index
+from koop_tune.search.rounds import LoopRun, Round, find_slowdown, inform, kept_index
 from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tune_knobs import tune_knobs
@@ -114,11 +114,11 @@ def commissioned(
         if not rig.has_optimum:
             return tuning
         passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
-        loops = first.later(len(rounds), find_longer(rounds), passed) if rounds else first
+        aim = inform(summarise(tuned).make_aim(file), rounds)
+        loops = first.later(len(rounds), aim.longer, passed) if rounds else first
         task, constants, model = tuning.task, tuning.best.constants, tuning.chosen.maps.cost.model
         esc = make_esc(task, constants, task.low)
         closed = loops.close(RigController(make_lifter(task, constants), esc, model))
-        aim = summarise(tuned).make_aim(file)
         before = [loops.rest(end, start, aim, 3 * OTHER) for end, start in enumerate(starts)]
         runs = tuple(
             LoopRun((start,), measure(aim, rest, loop.x, loop.theta))
@@ -126,7 +126,7 @@ def commissioned(
         )
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)
         damped = not find_faults(aim, [run.measured for run in runs])
-        rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees, damped))
+        rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees, damped, best=aim.y))
         tried.append((tuning, [loop.ratio for loop in closed]))
         for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
             (theta,) = run.measured.theta

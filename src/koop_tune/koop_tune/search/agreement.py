@@ -4,7 +4,8 @@ The amplitude is the excitation's (:mod:`koop_tune.excitation.amplitude`), in th
 loop is damped if, over its second half, which is at least as long as an oscillation was seen to
 need to grow,
 
-- the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong;
+- the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong,
+  and of the best that an earlier round knew;
 - all of theta's swing lies in the valley of that map;
 - and, from the worse start, the amplitude fell by more than its error explains.
 """
@@ -75,6 +76,8 @@ class Aim:
         How a loop is compared with it.
     longer : float
         Times that a loop is closed as long as these ask for: earlier ones left a doubt.
+    known : float
+        y of the best amplitude that earlier rounds knew, its error on top; infinite without any.
     """
 
     amplitude: Amplitude
@@ -90,6 +93,12 @@ class Aim:
     modes: tuple[Mode, ...] = ()
     settings: VerificationSettings = VERIFICATION
     longer: float = 1.0
+    known: float = math.inf
+
+    @property
+    def y(self) -> float:
+        """y of the best amplitude, its error on top."""
+        return self.sense * self.best + self.error
 
     @property
     def theta(self) -> str:
@@ -247,9 +256,11 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     A single loop, before the others, is not asked whether it makes the amplitude fall.
     """
     faults, good = [], CONVERGENCE.good
-    # the final map: the loops belong to it
+    # the final map: the loops belong to it, and what earlier rounds knew
     final = min(
-        [aim.sense * aim.best] + [aim.sense * math.log(run.amplitude) + run.doubt for run in runs]
+        aim.sense * aim.best,
+        aim.known,
+        *(aim.sense * math.log(run.amplitude) + run.doubt for run in runs),
     )
     for run in runs:
         level = math.log(run.amplitude)
@@ -264,7 +275,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         elif excess > good:
             faults.append(
                 f"near theta = {spell(run.theta)} the amplitude may be {excess:.3g} times the best "
-                f"of the final map, {good:g} is the most"
+                f"known, {good:g} is the most"
             )
         elif not all(map(_is_inside, aim.knobs, run.low, run.high)):
             low, high = (spell([knob.valley[end] for knob in aim.knobs]) for end in (0, 1))

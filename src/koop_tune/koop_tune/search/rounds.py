@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from koop_core.whole_file import read_object
-from koop_tune.search.agreement import Measured
+from koop_tune.search.agreement import Aim, Measured
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
 
@@ -58,6 +58,8 @@ class Round:
         Whether the rig was damped.
     summary : str
         The figures that were worse, or that none was.
+    best : float
+        y of the best amplitude of its map, the error on top.
     """
 
     number: int
@@ -66,6 +68,7 @@ class Round:
     agrees: bool | None = None
     damped: bool = False
     summary: str = ""
+    best: float = math.inf
 
     @property
     def finished(self) -> bool:
@@ -132,6 +135,12 @@ def find_longer(rounds: Sequence[Round]) -> float:
     good = CONVERGENCE.good
     doubtful = [r for r in rounds if r.finished and not r.damped and r.worst_excess <= good]
     return VERIFICATION.longer ** len(doubtful)
+
+
+def inform(aim: Aim, rounds: Sequence[Round]) -> Aim:
+    """Return an aim that knows what earlier rounds did: no round knows less than the one before."""
+    known = min((item.best for item in rounds if item.finished), default=math.inf)
+    return replace(aim, longer=find_longer(rounds), known=known)
 
 
 def kept_index(rounds: Sequence[Round]) -> int:
