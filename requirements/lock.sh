@@ -17,12 +17,13 @@ compile() {  # compile OUTPUT uv-arguments...
     --output-file "$output" "$@"
 }
 
-compile "$all" ros-jazzy.in python.in hil.in plants.in
+compile "$all" ros-jazzy.in python.in hil.in plants.in store.in
 compile ros-jazzy.txt --constraints "$all" ros-jazzy.in
 compile ros-kilted.txt --constraints <(grep -v ^ros- "$all") ros-kilted.in
 compile hil.txt --constraints "$all" hil.in
 # NumPy comes with python.txt or an installed ROS 2.
 compile plants.txt --constraints "$all" --no-emit-package numpy plants.in
+compile store.txt --constraints "$all" store.in
 compile docs.txt docs.in
 # An installed ROS 2 brings these three, and its binaries want the versions they were built with. On the wheels they
 # come with ros-*.txt.

@@ -159,17 +159,18 @@ install_browser() {
   install_packages chromium
 }
 
-# The plants of others that tests run. Without them those are skipped, which continuous integration doesn't accept.
+# The plants of others that tests run, and the object store. Without them those are skipped, which continuous integration doesn't accept.
 install_plants() {
   local code
   mkdir -p "$WS/log"
   set +e
-  (step "Installing the plants of the tests" install_python -r "$ROOT/requirements/plants.txt")
+  (step "Installing the plants and the object store of the tests" \
+    install_python -r "$ROOT/requirements/plants.txt" -r "$ROOT/requirements/store.txt")
   code=$?
   set -e
   if ((code)); then
     [[ -z ${CI:-} ]] || exit "$code"
-    say "the tests that fly an aircraft or run an inverter are skipped"
+    say "the tests that fly an aircraft, run an FMU or read from an object store are skipped"
   else
     plants_key >"$VENV/koop.plants"
   fi

@@ -10,7 +10,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    extras_require={"test": ["hypothesis", "mcap-ros2-support", "pytest", "rosbags"]},
+    extras_require={
+        "test": ["hypothesis", "mcap-ros2-support", "pytest", "rosbags"],
+        "store": ["fsspec", "universal-pathlib", "s3fs"],
+    },
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="MCAP bags of ROS 2 topics: pure writer and reader, recorder and player nodes.",

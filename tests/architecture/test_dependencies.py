@@ -42,9 +42,14 @@ OPTIONAL = {
     "dask": "workers",
     "distributed": "workers",
     "dpsimpy": "plants",
+    "fsspec": "store",
     "jsbsim": "plants",
+    "upath": "store",
 }
-PYPI = {"dpsimpy": "dpsim"}  # under another name than the module's
+PYPI = {
+    "dpsimpy": "dpsim",
+    "upath": "universal-pathlib",
+}  # under another name than the module's
 
 
 def sources(package):

@@ -96,7 +96,8 @@ def ready(clone: Clone) -> Clone:
     code, _, err = clone.koop("setup")
     assert code == 0, err
     clone.calls()
-    plants = (clone.root / "requirements" / "plants.txt").read_bytes()
+    files = [clone.root / "requirements" / name for name in ("plants.txt", "store.txt")]
+    plants = b"".join(file.read_bytes() for file in files)
     (clone.root / ".venv/koop.plants").write_text(f"{sha256(plants).hexdigest()}  -")
     return clone
 
@@ -303,14 +304,19 @@ def test_tests_install_the_plants_that_they_need_once_and_fail_only_where_they_m
     fails = {"FAIL_PIP": str(ready.root)}  # which is there
     code, out, err = ready.koop("test", **fails)
     assert (code, out) == (0, f"python -m pytest {WHOLE}\n")
-    assert err.endswith("the tests that fly an aircraft or run an inverter are skipped\n")
+    assert err.endswith(
+        "the tests that fly an aircraft, run an FMU or read from an object store are skipped\n"
+    )
     code, out, err = ready.koop("test", CI="true", **fails)
     assert (code, out) == (1, "")
     assert "pip's last words" in err
     ready.calls()
     assert ready.koop("test")[:2] == (0, f"python -m pytest {WHOLE}\n")
     (call,) = ready.calls()
-    assert call.endswith(f"--no-deps -r {ready.root}/requirements/plants.txt")
+    assert call.endswith(
+        "--no-deps "
+        + " ".join(f"-r {ready.root}/requirements/{n}.txt" for n in ("plants", "store"))
+    )
     assert ready.koop("test")[::2] == (0, "")
     assert ready.calls() == []
 

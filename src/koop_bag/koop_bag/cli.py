@@ -22,7 +22,7 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     bag = bag_commands(commands)
     info = bag.add_parser("info", help="topics, rates, losses, model, parameters")
-    info.add_argument("bag", type=Path)
+    info.add_argument("bag", help="folder, file, or URL such as s3://BUCKET/RUN")
     info.add_argument("--parameters", action="store_true", help="print the nodes' parameters, too")
     info.add_argument("--json", action="store_true", help="everything, for a program to read")
     info.set_defaults(func=_info)

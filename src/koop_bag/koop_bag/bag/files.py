@@ -1,9 +1,11 @@
 """Which files a bag is made of."""
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 
 from koop_bag.errors import BagError, compressed
+from koop_bag.mcap.stored_file import reading
 
 
 def find_files(path: Path) -> list[Path]:
@@ -14,6 +16,11 @@ def find_files(path: Path) -> list[Path]:
     BagError
         If there is none, with what there is instead.
     """
+    with nullcontext() if isinstance(path, Path) else reading(path):
+        return _files_of(path)
+
+
+def _files_of(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.exists():

@@ -19,6 +19,7 @@ from koop_bag.bag.metadata import (
 )
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, inner_places
+from koop_bag.mcap.stored_file import stored_path
 
 
 class RawMessage(NamedTuple):
@@ -49,7 +50,8 @@ class BagReader:
     Parameters
     ----------
     path : path
-        A bag folder, a folder that holds one as `bag/`, or an `.mcap` file.
+        A bag folder, a folder that holds one as `bag/`, or an `.mcap` file; or the URL of one,
+        such as s3://BUCKET/RUN.
 
     Attributes
     ----------
@@ -71,7 +73,7 @@ class BagReader:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = stored_path(path)
         self.files = find_files(self.path)
         self._topics: dict[str, BagTopic] = {}
         self.message_count = 0

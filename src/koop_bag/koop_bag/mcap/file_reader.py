@@ -21,6 +21,7 @@ from mcap.records import Channel, Footer, McapRecord, Metadata, Schema, Statisti
 from mcap.writer import MCAP0_MAGIC
 
 from koop_bag.errors import BagError, compressed
+from koop_bag.mcap.stored_file import open_stored
 
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode, and length of the content that follows."""
@@ -63,7 +64,7 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = open(path, "rb")  # noqa: SIM115 - open as long as the bag
+            self._file = open_stored(path)
         except OSError as error:
             raise BagError(f"cannot open {path}: {error.strerror}") from error
         self.size = self._file.seek(0, os.SEEK_END)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.columns import LOG_TIME, iter_columns, list_fields
 from koop_bag.bag.files import find_files
 from koop_bag.bag.reader import BagReader
+from koop_bag.mcap.stored_file import open_stored
 from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import ConfigError
 
@@ -100,7 +101,7 @@ def sha256(path: Path) -> str:
     """Return the hash over the bytes of a bag's files, hexadecimal."""
     digest = hashlib.sha256()
     for file in find_files(path):
-        with file.open("rb") as stream:
+        with open_stored(file) as stream:
             while block := stream.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()

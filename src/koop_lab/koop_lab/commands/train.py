@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from koop_bag.mcap.stored_file import stored_path
 from koop_core.errors import InputError
 from koop_identify.model.from_bags import BagTraining, train_from_bags
 from koop_lab.cli.source_options import add_reading_options, reading_of
@@ -27,9 +28,9 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "bags",
         nargs="*",
-        type=Path,
         metavar="BAG",
-        help="recordings to learn from (none: the simulated plant is learned)",
+        help="recordings to learn from; also URLs, such as s3://BUCKET/RUN (none: the simulated "
+        "plant is learned)",
     )
     parser.add_argument("--out", type=Path, default=Path("model.npz"), metavar="FILE.npz")
     parser.add_argument(
@@ -74,7 +75,7 @@ def train_main(args: argparse.Namespace) -> int:
             contrast=args.contrast,
             delays=1 if args.delays is None else args.delays,
         )
-        model = train_from_bags(args.bags, training)
+        model = train_from_bags([stored_path(bag) for bag in args.bags], training)
     else:
         config = TrainingConfig(modes=args.modes)
         if args.degree is not None:
