@@ -14,6 +14,7 @@ SIMULATION = "koop_study.simulation.work"
 WORK = {
     **{name: f"{SIMULATION}:{name}" for name in ("runs", "modes", "ramp", "settled", "trace")},
     **{name: f"koop_study.simulation.knobs:{name}" for name in ("knobs_of_map", "knobs_of_plant")},
+    "seek_yardstick": "koop_study.simulation.yardsticks:seek_yardstick",
     "commission_plant": "koop_study.commissioning.work:commission_plant",
     "commission_knobs": "koop_study.commissioning.knobs:commission_knobs",
 }
