@@ -25,6 +25,8 @@ LONG = ("tests/", "src/koop_study/", "src/koop_tune/", "src/koop_bag/")
 NO_DOMAIN = "none: the test is not marked 'ros'"  # with which no node can start
 os.environ["ROS_DOMAIN_ID"] = NO_DOMAIN
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# The matrices are small: more threads spin on processors that other tests and rigs need.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 
 @pytest.hookimpl(optionalhook=True)  # there may be no xdist
