@@ -85,6 +85,7 @@ def write_small(folder: Path) -> None:
         if content["experiment"] == "commission":
             names = ("usual", "two modes", "no optimum")
             content["strata"] = {name: content["strata"][name] for name in names}
+            content["quick"] |= {"effort": 0.02, "excitation": 50, "duration": 20}
         (folder / path.name).write_text(yaml.safe_dump(content))
 
 
