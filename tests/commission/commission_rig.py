@@ -12,7 +12,7 @@ from koop_tune.rig.rig_file import RigFile
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 
-DT = 0.004
+DT = 0.008
 OMEGA = 2.0 * math.pi * 20.0
 BEST, SECOND_BEST = 0.8, 0.1
 PATIENCE, COMMANDED = 0.3, 3.0  # [s] for the answer to a sample; since the last command
@@ -53,7 +53,7 @@ PAPER = RigFile(
     time=1e6,
     pace=300.0,
 )
-SUBSTEPS, LATE = 30, 0.5  # of a sample; [s] that it makes up for
+SUBSTEPS, LATE = 10, 0.5  # of a sample; [s] that it makes up for
 PLANT = PlantConfig(
     dt=PAPER.dt / SUBSTEPS, theta_star=(-3.0, 1.0), coupling=(0.8, 0.6, -0.3, 0.4),
     epsilon0=0.4, epsilon0_drift=0.0, interference_amplitude_1=0.0, interference_amplitude_2=0.0,

@@ -56,7 +56,7 @@ LOOP = {
         "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "measured": RIG.measured,
     },
     "relay_esc": {
-        "step_size": 0.004, "dwell": 0.2, "tau_f": 0.2, "theta_min": -1.0,
+        "step_size": 0.008, "dwell": 0.2, "tau_f": 0.2, "theta_min": -1.0,
         "theta_max": 0.9, "rate_limit": 4.0, "theta_initial": 0.5,
     },
     "koop_guard": {name: as_values(SLOW)[name] for name in SHARED},
@@ -289,7 +289,7 @@ def test_two_coupled_knobs_converge_resume_and_return_together(koop, probe, stat
         ("koopman_lifter", "cost", "raw"), ("koopman_lifter", "omega_h", 100.0),
         ("koopman_lifter", "omega_l", 20.0), ("relay_esc", "law", "adaptive"),
         ("relay_esc", "dwell", 0.5), ("relay_esc", "tau_f", 0.5),
-        ("relay_esc", "step_size", [0.006, 0.0006]),
+        ("relay_esc", "step_size", [0.012, 0.0012]),
     )  # fmt: skip
     safe = TWO_KNOBS.theta_safe
     assert values["relay_esc"]["theta_initial"] == list(safe)
