@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from koop_core.config.parameter import Settings, parameter
 from koop_tune.origin import studied
@@ -57,9 +58,11 @@ class AmplitudeSettings(Settings):
         0.05, "power over the channel's strongest group, where it is largest, left out", low=0.0
     )
     lobe: int = parameter(
-        2, "bins over which a line leaks", low=0, high=3, origin="half the main lobe of a window"
+        2, "groups over which a line leaks", low=0, high=3, origin="half the main lobe of a window"
     )
-    line: float = studied(0.5, "power of a quiet line over a group beside it", low=0.0)
+    line: float = studied(
+        0.5, "power of a quiet group over one within the lobe that is left out", low=0.0
+    )
     minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
 
 
@@ -267,6 +270,7 @@ def choose_amplitude(
     windows: Windows,
     holds: Sequence[Array],
     importance: Sequence[float] = (),
+    beside: bool = False,
 ) -> Amplitude | None:
     """Choose what is summed, from the powers of holds once each had settled.
 
@@ -278,6 +282,8 @@ def choose_amplitude(
         Powers of the windows of each hold, W at least 2.
     importance : sequence of float, optional
         w_c of each channel; alike unless given.
+    beside : bool
+        Whether what is beside a quiet line counts: longer windows may tell it from that.
 
     Returns
     -------
@@ -296,7 +302,8 @@ def choose_amplitude(
     reacts = _change(mean, doubt) > AMPLITUDE.change
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
     reacts[:, : AMPLITUDE.lowest] = False  # a window has too little of a slow interference
-    reacts &= ~_is_beside_line(windows, mean, reacts)
+    if not beside:
+        reacts &= ~_is_beside_line(mean, reacts)
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
     background = np.minimum(_beside(windows, density, reacts), most)
     unsure = AMPLITUDE.doubt * background
@@ -334,20 +341,15 @@ def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np
     return np.asarray(np.take_along_axis(part, mean.argmax(axis=0)[None], axis=0)[0])
 
 
-def _is_beside_line(windows: Windows, mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _is_beside_line(mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether groups are beside a quiet line that is about as strong, shape (n, G).
 
     What two lines leak into the bins between them beats with the time, and a slow one with its own
     phase: a few windows after one another see the same of it, the next hold sees other.
     """
-    edges = np.array(windows.edges)
-    result = np.zeros(reacts.shape, bool)
-    for c, g in zip(*np.nonzero(reacts), strict=True):
-        low, high = edges[g] - AMPLITUDE.lobe, edges[g + 1] + AMPLITUDE.lobe
-        near = ~reacts[c] & (edges[1:] > low) & (edges[:-1] < high)
-        strongest = mean[:, c, near].min(axis=0).max(initial=0.0)
-        result[c, g] = strongest > AMPLITUDE.line * mean[:, c, g].max()
-    return result
+    quiet = np.where(reacts, 0.0, mean.min(axis=0))
+    strongest = maximum_filter1d(quiet, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
+    return np.asarray(reacts & (strongest > AMPLITUDE.line * mean.max(axis=0)))
 
 
 def _change(mean: Array, doubt: Array) -> Array:

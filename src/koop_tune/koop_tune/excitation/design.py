@@ -590,10 +590,11 @@ class Design:
         for last in (False, False, True):
             powers = [hold.late(self.windows) for hold in holds]
             self.amplitude = choose_amplitude(self.windows, powers, self.rig.weights)
-            if self.amplitude is None or last:
+            reacts = choose_amplitude(self.windows, powers, self.rig.weights, beside=True)
+            if reacts is None or last:
                 return
-            self.period = self.amplitude.period([p.mean(axis=0) for p in powers])
-            squares = [float(self.amplitude.squares(p).mean()) for p in powers]
+            self.period = reacts.period([p.mean(axis=0) for p in powers])
+            squares = [float(reacts.squares(p).mean()) for p in powers]
             if max(squares) < s.clear**2 * max(min(squares), 0.0):
                 return  # of what reacts a little the frequency is not known
             length = window_length(self.period, s.window, self.rig.dt)
