@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from koop_commission.stages.closed_loop import ClosedLoop
 from koop_commission.stages.session import refuse_small_disk, resumable, spell_time
@@ -17,7 +14,7 @@ from koop_core.text_table import table
 from koop_core.whole_file import write_json
 from koop_guard.note import note_of
 from koop_tune.excitation import progress
-from koop_tune.excitation.bowl import fit_bowl
+from koop_tune.excitation.bowl import find_starts
 from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import TUNED
 from koop_tune.result import tune_result
@@ -90,7 +87,7 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     current = rounds.pop()
     aim = inform(aim, rounds)
     done = [run.start for run in current.runs]
-    left = [theta for theta in find_starts(rig, state) if theta not in done]
+    left = [theta for theta in find_starts(rig, *state.arrays(rig)) if theta not in done]
     settling = max([aim.time, aim.growth, *(hold.settled for hold in state.holds)])
     loop = ClosedLoop(rig, aim, folder, current.number, settling, note)
     rest = 2 * aim.settings.before * aim.window
@@ -121,23 +118,6 @@ def _read_excitation(rig: RigFile, folder: Path) -> tuple[RigFile, ExcitationPro
     """Return the rig with the limits that kept its constraint, and its excitation."""
     state = progress.load(rig, folder) or ExcitationProgress()
     return state.narrow(rig), state
-
-
-def find_starts(rig: RigFile, state: ExcitationProgress) -> list[tuple[float, ...]]:
-    """Return thetas from which loops are closed: the ends of the range.
-
-    Of several knobs the corner that the excitation lets expect to be the worst, and the opposite
-    one: each knob begins at both of its ends, or as near as lines between them let it.
-    """
-    n = rig.count
-    if n == 1:
-        return [rig.each("theta_min"), rig.each("theta_max")]
-    corners = [rig.limit(rig.theta_at(u)) for u in itertools.product((0.0, 1.0), repeat=n)]
-    worst = len(corners) - 1
-    if len(state.holds) > n:
-        bowl = fit_bowl(*state.arrays(rig))
-        worst = int(np.argmax(bowl.log(rig.u(corners))))
-    return [corners[-1 - worst], corners[worst]]
 
 
 def judge(rig: RigFile, folder: Path, index: int) -> Verification:

@@ -12,6 +12,7 @@ from koop_study.commissioning.work import EARLIER
 from koop_study.family.config import FamilyConfig
 from koop_study.family.knobs import draw_knobs
 from koop_study.family.loop import RigController, close, noise_of
+from koop_tune.excitation.bowl import find_starts
 from koop_tune.excitation.design import KNOWN
 from koop_tune.result.summary import summarise
 from koop_tune.search.agreement import find_faults, measure
@@ -61,18 +62,11 @@ def commission_knobs(
     aim, runs = summarise(tuning).make_aim(file), []
     steps = n * round(duration * own.time / dt)
     rests = aim.settings.before * max(aim.amplitude.windows.length, round(aim.time / dt))
-    for end in ("low", "high"):
-        corner = np.array([getattr(limits, end) for limits in tuning.limits])
-        begin, start = (rig.starting_at(v) for v in (corner, rig.start))
-        before = max(
-            (
-                each.record(np.full(rests, each.theta_initial), seed + 2)[0]
-                for each in (begin, start)
-            ),
-            key=lambda x: float(aim.amplitude.squares(aim.amplitude.windows.powers(x)).mean()),
-        )
-        initial: Any = tuple(corner.tolist())
-        esc = replace(tuning.esc, theta_initial=initial)
+    start: Any
+    for start in find_starts(file, *design.arrays):
+        begin = rig.starting_at(np.array(start))
+        before = begin.record(np.full(rests, begin.theta_initial), seed + 2)[0]
+        esc = replace(tuning.esc, theta_initial=start)
         controller = RigController(lifter, esc, tuning.tuning.chosen.maps.cost.model)
         noise = noise_of(begin, steps, seed)
         runs.append((before, close(begin, controller, noise, seed, rig)))

@@ -8,6 +8,7 @@ either side of a pair of knobs tell that too.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from koop_core.config.parameter import Settings, judged
+from koop_tune.rig.rig_file import RigFile
 
 Array = NDArray[np.float64]
 
@@ -91,3 +93,26 @@ def fit_bowl(u: Array, y: Array, error: Array) -> Bowl:
     ]
     found = bowl_of(min(fits, key=lambda fit: float(fit.cost)).x)
     return Bowl(found.floor, np.clip(found.best, 0.0, 1.0), found.root)
+
+
+def find_starts(rig: RigFile, u: Array, y: Array, error: Array) -> list[tuple[float, ...]]:
+    """Return thetas from which loops are closed: the ends of the range.
+
+    Of several knobs the corner that the holds let expect to be the worst, and the opposite one
+    before it: each knob begins at both of its ends, or as near as lines between them let it.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig, with n knobs.
+    u, y, error
+        The holds of its excitation, as of :func:`fit_bowl`.
+    """
+    n = rig.count
+    if n == 1:
+        return [rig.each("theta_min"), rig.each("theta_max")]
+    corners = [rig.limit(rig.theta_at(v)) for v in itertools.product((0.0, 1.0), repeat=n)]
+    worst = len(corners) - 1
+    if y.size > n:
+        worst = int(np.argmax(fit_bowl(u, y, error).log(rig.u(corners))))
+    return [corners[-1 - worst], corners[worst]]

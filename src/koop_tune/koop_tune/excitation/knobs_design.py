@@ -333,8 +333,9 @@ class KnobsDesign:
         self._design.holds = []
         self._move_base()
 
-    def _table(self) -> tuple[Array, Array, Array]:
-        """Return positions, y and errors of all holds."""
+    @property
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """Positions, shape (M, n), y and errors, shape (M,), of all holds."""
         levels = self.levels()
         y = self.rig.sense * np.array([level.mean for level in levels])
         return np.array([u for _, u in self.held]), y, np.array([level.error for level in levels])
@@ -346,7 +347,7 @@ class KnobsDesign:
         """
         self._done, self._design.holds = self.held, []
         if self.amplitude is not None:
-            u, y, error = self._table()
+            u, y, error = self.arrays
             useful = np.isin(np.arange(self.base.size), self._useful)
             best, here = int(np.argmin(y + error)), np.abs(u - self.base).max(axis=1) <= KNOBS.same
             if y[here].min(initial=math.inf) > y[best] + KNOBS.gain:
@@ -377,12 +378,12 @@ class KnobsDesign:
         return float(beyond[0]) if beyond.size else s.most
 
     def _bowl(self) -> Bowl:
-        u, y, error = self._table()
+        u, y, error = self.arrays
         return fit_bowl(u[:, self._useful], y, error)
 
     def _least_of_bowl(self) -> Array | None:
         """Return the place of the bowl's least; None where it gains nothing."""
-        u, y, _ = self._table()
+        u, y, _ = self.arrays
         bowl = self._bowl()
         place = self.base.copy()
         place[self._useful] = bowl.best

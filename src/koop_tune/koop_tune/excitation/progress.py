@@ -107,8 +107,8 @@ class ExcitationProgress:
 
         A level is the logarithm of the amplitude, or minus it where the amplitude is to be large.
         """
-        u = rig.u([hold.theta for hold in self.holds])
-        levels, errors = np.array([(hold.level, hold.error) for hold in self.holds]).T
+        u = rig.u(np.reshape([hold.theta for hold in self.holds], (-1, rig.count)))
+        levels, errors = np.reshape([(h.level, h.error) for h in self.holds], (-1, 2)).T
         return u, rig.sense * levels, errors
 
 
