@@ -116,6 +116,7 @@ class PaperRig(Rig):
     def _run(self):
         params, knobs = PLANT.params(), PLANT.knob_params()
         x, y, applied, message = 4.0, 0.0, self.theta.copy(), self._message
+        dynamics.advance_knobs(params, knobs, 0, x, y, applied.copy(), self.theta)  # compiles
         k, period, due, said = 0, PAPER.dt / PAPER.pace, time.monotonic(), 0.0
         while not self._over.is_set():
             now = time.monotonic()

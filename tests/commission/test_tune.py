@@ -43,7 +43,7 @@ def recorded(rig, **excitation):
 )
 def test_the_tuned_loop_damps_the_rig_as_predicted(seed, family, cost):
     rig = rig_of(seed, **QUICK, **family, noise_driven=0.0, maps={"symmetric": 1.0})
-    tuning = tune(*recorded(rig), settings=TuningSettings(effort=0.1))
+    tuning = tune(*recorded(rig), settings=TuningSettings(effort=0.05))
     assert tuning.chosen.name.startswith(cost)
     best = tuning.findings.scale.theta_at(tuning.findings.static_map.best())
     assert abs(best - rig.best()[0]) < 0.1 * (rig.params.theta_max - rig.params.theta_min)
