@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from koop_core.config.knobs import format_knobs
-from koop_guard.config import SAFETY, GuardConfig, SafetySettings
+from koop_guard.config import SAFETY, GuardConfig
 
 ROUNDED = 1e-9  # share of a step by which rounding takes a controller beyond the rate
 
@@ -90,20 +90,14 @@ class RepeatMeter:
     differences, which hardly pass an oscillation of 8 samples or more, say how much of what moved
     the channel by few steps was noise; noise of more than 0.6 steps changes two samples in five.
 
-    Parameters
-    ----------
-    settings : SafetySettings
-        What counts as chance, rest and noise.
-
     Attributes
     ----------
     run : int
         Repetitions in a row until now.
     """
 
-    def __init__(self, settings: SafetySettings = SAFETY) -> None:
-        self._settings = settings
-        self._share = self._recent_share = settings.stuck_at_first
+    def __init__(self) -> None:
+        self._share = self._recent_share = SAFETY.stuck_at_first
         self._last, self._before = math.nan, (math.nan, math.nan, math.nan)
         self._mean = self._spread = self._noise = self._differences = 0.0
         self._resolution = math.inf
@@ -119,8 +113,8 @@ class RepeatMeter:
             self.run += 1
             return
         samples = self.run + 1
-        weight = samples / (self._settings.stuck_memory + samples)
-        recent = samples / (self._settings.stuck_recent + samples)
+        weight = samples / (SAFETY.stuck_memory + samples)
+        recent = samples / (SAFETY.stuck_recent + samples)
         self._share += weight * (self.run / samples - self._share)
         self._recent_share += recent * (self.run / samples - self._recent_share)
         if math.isnan(self._last):
@@ -137,16 +131,16 @@ class RepeatMeter:
 
     @property
     def _moves(self) -> bool:
-        return self._spread >= self._settings.stuck_steps * self._resolution
+        return self._spread >= SAFETY.stuck_steps * self._resolution
 
     @property
     def longest(self) -> float:
         """Repetitions in a row that neither chance nor rest explains."""
-        noisy = self._noise >= self._settings.stuck_noise * self._resolution
+        noisy = self._noise >= SAFETY.stuck_noise * self._resolution
         if self._resolution < math.inf and not (self._moves or noisy):
             return math.inf
-        share = max(self._share, self._recent_share, 1.0 / self._settings.stuck_memory)
-        return math.log(self._settings.stuck_chance) / math.log(share)
+        share = max(self._share, self._recent_share, 1.0 / SAFETY.stuck_memory)
+        return math.log(SAFETY.stuck_chance) / math.log(share)
 
 
 class Guard:
@@ -158,8 +152,6 @@ class Guard:
         Limits and times.
     theta : sequence of float
         Values that theta has now.
-    settings : SafetySettings
-        Times of the guard itself.
 
     Attributes
     ----------
@@ -173,25 +165,23 @@ class Guard:
         Automatic rearms since the last one by hand.
     """
 
-    def __init__(
-        self, config: GuardConfig, theta: Sequence[float], settings: SafetySettings = SAFETY
-    ) -> None:
-        self._config, self._settings = config, settings
-        self._silence = settings.silence(config.period)
-        self._late = max(settings.late_periods * config.period, 2.0 * settings.tick)
+    def __init__(self, config: GuardConfig, theta: Sequence[float]) -> None:
+        self._config = config
+        self._silence = SAFETY.silence(config.period)
+        self._late = max(SAFETY.late_periods * config.period, 2.0 * SAFETY.tick)
         self._rates = [rate * config.pace for rate in config.each("theta_rate")]
         self.theta = self.target = config.limit(theta)
         self.status, self.rearmed = Status.WAITING, 0
         self.trip: Trip | None = None
         self.x: tuple[float, ...] = ()
-        self._repeats = [RepeatMeter(settings) for _ in config.names]
+        self._repeats = [RepeatMeter() for _ in config.names]
         self._moved = math.inf
         self._arrived = self._answered = self._old = -math.inf
         self._saturated = self._calm = math.inf
         self._saturated_at = self.theta
         bounded = config.bounded
         window = bounded.window / config.pace if bounded else math.inf
-        self._broken = max(settings.broken * window, self._silence)
+        self._broken = max(SAFETY.broken * window, self._silence)
         self._margin, self._kept = math.nan, math.inf
         self._causes: dict[Cause, tuple[str, float]] = {}
 
@@ -321,7 +311,7 @@ class Guard:
         trip, config = self.trip, self._config
         if self.status is not Status.TRIPPED or trip is None or trip.cause in ONCE:
             return False
-        pause = self._settings.rearm_pause * 2.0**self.rearmed
+        pause = SAFETY.rearm_pause * 2.0**self.rearmed
         return self.rearmed < config.rearms and now - self._calm > pause
 
     def advance(self, now: float) -> tuple[float, ...]:
@@ -350,7 +340,7 @@ class Guard:
 
     def _lasting(self, now: float) -> dict[Cause, str]:
         """Return the causes that were there a moment ago."""
-        calm = max(self._settings.calm, self._silence)
+        calm = max(SAFETY.calm, self._silence)
         return {
             cause: reason for cause, (reason, when) in self._causes.items()
             if cause not in ONCE and now - when < calm
