@@ -67,3 +67,8 @@ class Messages:
         ]
         fields = dict.fromkeys(flags, k % 7 == 0) | fields
         return self.serialize(LOOP[topic], self.make(LOOP[topic], **fields))
+
+
+def padded(data: bytes) -> bytes:
+    """Return a message as DDS hands it on: filled up to a multiple of four bytes."""
+    return data + bytes(-len(data) % 4)

@@ -7,7 +7,7 @@ import time
 
 import pytest
 import rclpy
-from koop_bag_messages import LOOP, PERIOD, START
+from koop_bag_messages import LOOP, PERIOD, START, padded
 from koop_bag_ros import Player, Recorder, Talker
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -50,11 +50,6 @@ def test_all_bytes_arrive_from_the_first_message_on_and_the_clock_tells_their_ti
         assert data == [padded(messages.loop(topic, k)) for k in range(2000)]
     expected = [START + k * PERIOD + 1000 * i for k in range(2000) for i in range(4)]
     assert clock_times(clock) == expected
-
-
-def padded(data):
-    """Return a message as DDS hands it on: filled up to a multiple of four bytes."""
-    return data + bytes(-len(data) % 4)
 
 
 def test_a_recording_of_a_playback_is_the_recording(write_loop, tmp_path):

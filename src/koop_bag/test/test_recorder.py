@@ -12,7 +12,7 @@ import time
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from koop_bag_messages import LOOP
+from koop_bag_messages import LOOP, padded
 from koop_bag_ros import Recorder, Talker, publish, wait_until
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -36,11 +36,6 @@ from koop_node.node.managed import message_type
 pytestmark = pytest.mark.ros
 
 BLOB = "std_msgs/msg/UInt8MultiArray"
-
-
-def padded(data):
-    """Return a message as DDS hands it on: filled up to a multiple of four bytes."""
-    return data + bytes(-len(data) % 4)
 
 
 def steps(folder, topic="/state"):

@@ -34,6 +34,20 @@ def linear_data(scale=1.0, count=30):
     return list(trajectories(lambda x: LINEAR @ x, starts, 25))
 
 
+POLYNOMIAL = 0.9, 0.5
+
+
+def polynomial_data():
+    """Return the sums over x1' = a x1, x2' = b x2 + (b - a^2) x1^2 (Tu 2014)."""
+    a, b = POLYNOMIAL
+    starts = np.random.default_rng(1).uniform(-2, 2, (40, 2))
+
+    def step(x):
+        return np.array([a * x[0], b * x[1] + (b - a**2) * x[0] ** 2])
+
+    return summed(Monomials(2, 2), trajectories(step, starts, 12))
+
+
 def test_a_linear_system_gives_its_matrix_and_the_products_of_its_eigenvalues():
     """On monomials to degree 3 the eigenvalues are l1^i l2^j with i + j <= 3 (Budisic 2012)."""
     gram = summed(Monomials(2, 3), linear_data())
@@ -49,15 +63,9 @@ def test_a_linear_system_gives_its_matrix_and_the_products_of_its_eigenvalues():
 
 
 def test_a_polynomial_system_with_a_known_invariant_subspace():
-    """x1' = a x1, x2' = b x2 + (b - a^2) x1^2 (Tu 2014): {x1, x2, x1^2} is invariant."""
-    a, b = 0.9, 0.5
-
-    def step(x):
-        return np.array([a * x[0], b * x[1] + (b - a**2) * x[0] ** 2])
-
-    starts = np.random.default_rng(1).uniform(-2, 2, (40, 2))
-    gram = summed(Monomials(2, 2), trajectories(step, starts, 12))
-    rows = edmd(gram).matrix[[1, 2, 3]]
+    """Of x1, x2 and x1^2."""
+    a, b = POLYNOMIAL
+    rows = edmd(polynomial_data()).matrix[[1, 2, 3]]
     expected = np.zeros((3, 6))
     expected[0, 1], expected[1, 2], expected[1, 3], expected[2, 3] = a, b, b - a**2, a**2
     np.testing.assert_allclose(rows, expected, atol=1e-9)
@@ -141,13 +149,7 @@ def test_eigenfunctions_of_a_linear_system_have_no_residual():
 
 def test_spurious_modes_are_told_by_their_residual():
     """1, x1, x2 + x1^2 and x1^2 are invariant; x1 x2 and x2^2 lead out of the monomials."""
-    a, b = 0.9, 0.5
-
-    def step(x):
-        return np.array([a * x[0], b * x[1] + (b - a**2) * x[0] ** 2])
-
-    starts = np.random.default_rng(1).uniform(-2, 2, (40, 2))
-    gram = summed(Monomials(2, 2), trajectories(step, starts, 12))
+    (a, b), gram = POLYNOMIAL, polynomial_data()
     modes = decompose(edmd(gram), gram)
     true = np.abs(modes.eigenvalues[:, None] - [1.0, a, b, a**2]).min(axis=1) < 1e-6
     assert true.sum() == 4
