@@ -581,7 +581,7 @@ def test_service_manager_any_terminal_and_the_page_are_told_how_the_loop_is(
     text = wait(lambda: (answer := asked(tmp_path / "run"))[0] == 0 and answer[1], "health")
     for words in (f"process {process.pid} of user {os.geteuid()}", "\n  healthy\n",
                   "guard following", "measured /fast:data[0],data[1], command /fast/knob:data",
-                  f"run: {tmp_path}/run, recording, ", "running for 00:"):  # fmt: skip
+                  f"run: {tmp_path}/run, recording, ", "running for 0:0"):  # fmt: skip
         assert words in text
     shown = float(re.search(r"theta = (\S+), guard", text)[1])
     assert any(abs(shown - theta) < 0.1 for _, theta in fast_rig.moved)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -94,11 +94,6 @@ def describe_loop(
             f"  rig: {rig}",
             f"  run: {folder.resolve()}, "
             + (f"recording, {size / 1e6:.1f} MB" if recorded else "not recording"),
-            f"  running for {_spell(running)}, step {progress.step}",
+            f"  running for {timedelta(seconds=int(running))}, step {progress.step}",
         ]
     )
-
-
-def _spell(seconds: float) -> str:
-    days, rest = divmod(int(seconds), 86400)
-    return f"{days} d " * (days > 0) + time.strftime("%H:%M:%S", time.gmtime(rest))
