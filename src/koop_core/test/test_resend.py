@@ -1,4 +1,4 @@
-"""Asking, waiting, asking again: the one that plant, player and replay share."""
+"""Asking, waiting, asking again: what the plant does in lockstep."""
 
 from koop_core.stream.resend import Due, Resend
 

@@ -146,7 +146,8 @@ def projector(
         A real mode contributes its row of V_dom^+; a complex pair, whose rows are conjugate,
         contributes sqrt(2) times the real and the imaginary part of one of them.
     """
-    rows = _scaled_pinv(v_dom)
+    q, r = np.linalg.qr(v_dom)
+    rows = np.linalg.solve(r, q.conj().T)  # no direction is cut: they are linearly independent
     real_rows = []
     for j, eigenvalue in enumerate(eigenvalues):
         if eigenvalue.imag == 0.0:
@@ -154,12 +155,6 @@ def projector(
         elif eigenvalue.imag > 0.0:
             real_rows += [np.sqrt(2.0) * rows[j].real, np.sqrt(2.0) * rows[j].imag]
     return np.array(real_rows, dtype=np.float64)
-
-
-def _scaled_pinv(v_dom: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Pseudo-inverse with no direction cut: the kept eigenvectors are linearly independent."""
-    q, r = np.linalg.qr(v_dom)
-    return np.asarray(np.linalg.solve(r, q.conj().T))
 
 
 def averaged_over_pairs(

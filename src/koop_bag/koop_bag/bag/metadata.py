@@ -89,10 +89,6 @@ class TopicRecord:
     encoding: str = "cdr"
     qos: tuple[OfferedQos, ...] = (OfferedQos(),)
 
-    def qos_text(self) -> str:
-        """The YAML string that an MCAP channel carries."""
-        return dump([item.as_map() for item in self.qos])
-
 
 @dataclass
 class FileRecord:

@@ -172,7 +172,7 @@ class BagWriter:
             topic=name,
             message_encoding=encoding,
             metadata={
-                "offered_qos_profiles": topic.qos_text(),
+                "offered_qos_profiles": dump([item.as_map() for item in topic.qos]),
                 "topic_type_hash": schema.type_hash,
             },
             schema_id=entry.id,

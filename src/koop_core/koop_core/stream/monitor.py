@@ -141,10 +141,6 @@ class StreamMonitor:
         self.unusable += 1
         self.problem = problem
 
-    def reject_old(self) -> None:
-        """Count a message that its reader knows to be too old."""
-        self.too_old += 1
-
     def age(self, now: float) -> float:
         """Return the time since the last message [s]; NaN before the first."""
         return now - self._heard

@@ -170,11 +170,6 @@ class GuardRun(Run):
         return following and self._config.on_end == "hold" and number != signal.SIGTERM
 
     @property
-    def _failed(self) -> bool:
-        """Whether the loop failed and ends."""
-        return _asked_to_end() == signal.SIGTERM
-
-    @property
     def _commands(self) -> bool:
         """Whether theta was commanded."""
         return self._command is not None and self._guard.status is not Status.WAITING
@@ -390,7 +385,8 @@ class GuardRun(Run):
                     f"{trip.reason}"
                 )
                 is_new = trip is not self._latched  # whose alarm was before the restart
-                if is_new and (trip.cause is not Cause.ENDED or self._failed):
+                has_failed = _asked_to_end() == signal.SIGTERM  # the loop, which ends
+                if is_new and (trip.cause is not Cause.ENDED or has_failed):
                     self._alarm.start(trip, self._node.get_fully_qualified_name())
             self._said, self._refused = said, message.rearm_refused
             self._state.publish(message)

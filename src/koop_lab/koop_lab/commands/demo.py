@@ -122,10 +122,7 @@ def read_options(args: argparse.Namespace) -> tuple[LoopParameters, RecorderConf
 
 
 def run_with_progress(
-    folder: Path,
-    parameters: LoopParameters,
-    recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
-    composed: bool = False,
+    folder: Path, parameters: LoopParameters, recorder: RecorderConfig, composed: bool
 ) -> list[str]:
     """Run the live loop with a progress bar; return what a reader of the results should know."""
     if (folder / "bag").exists():

@@ -199,7 +199,7 @@ class PlantRun(Run):
             self._input.reject(f"step {step}: this run has published no such state")
             return False
         if self.theta_ages and 0.0 < self._input.timeout < age:
-            self._input.reject_old()
+            self._input.too_old += 1
             return False
         if self._input.hear(step, to_seconds(message.header.stamp), now) == Arrival.LATE:
             return False
