@@ -252,3 +252,13 @@ def test_noise_that_is_alike_in_two_windows_by_chance_does_not_react():
         amplitude = choose_amplitude(WINDOWS, brief)
         reacts = WINDOWS.frequency[amplitude.weight[0] > 0.0]
         assert np.all(np.abs(reacts - 2.0) < 0.5)
+
+
+def test_a_mode_that_is_faint_beside_a_strong_one_counts_where_that_is_quiet():
+    rng = np.random.default_rng(0)
+    strong, faint = (1.0, 0.01, 0.01, 0.01, 0.01, 1.0), (0.15, 0.1, 0.06, 0.04, 0.02, 0.01)
+    holds = [hold(rng, [(4.0, a), (10.0, b)]) for a, b in zip(strong, faint, strict=True)]
+    amplitude = choose_amplitude(WINDOWS, holds)
+    assert weighs_at(amplitude, 0, 4.0)
+    assert weighs_at(amplitude, 0, 10.0)
+    assert np.argmin(levels(amplitude, holds)) == 4

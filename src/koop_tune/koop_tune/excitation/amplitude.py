@@ -335,10 +335,16 @@ def whole_amplitude(windows: Windows, x: Array) -> Amplitude:
 
 
 def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np.bool_]:
-    """Return whether groups are more than the skirt of a line where they have most, (n, G)."""
+    """Return whether groups are more than the skirt of a stronger line, shape (n, G).
+
+    They are so where they have most, or anywhere else while they fall: what is faint beside a
+    strong mode at one end of the range may be all that is left where that is quiet.
+    """
     strongest = (mean * reacts).max(axis=2, keepdims=True)
     part = mean > skirt * strongest
-    return np.asarray(np.take_along_axis(part, mean.argmax(axis=0)[None], axis=0)[0])
+    falls = mean > AMPLITUDE.falls * mean.min(axis=0)  # noise does not
+    at_most = np.take_along_axis(part, mean.argmax(axis=0)[None], axis=0)[0]
+    return np.asarray(at_most | (part & falls).any(axis=0))
 
 
 def _is_beside_line(mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
