@@ -262,3 +262,11 @@ def test_a_mode_that_is_faint_beside_a_strong_one_counts_where_that_is_quiet():
     assert weighs_at(amplitude, 0, 4.0)
     assert weighs_at(amplitude, 0, 10.0)
     assert np.argmin(levels(amplitude, holds)) == 4
+
+
+def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
+    rng = np.random.default_rng(0)
+    holds = [hold(rng, [(3.0, a)], noise=0.0) for a in (1.0, 0.5, 0.0)]
+    amplitude = choose_amplitude(WINDOWS, holds)
+    means = [power.mean(axis=0) for power in holds]
+    assert amplitude.period(means) == amplitude.period(means[:2]) == pytest.approx(1 / 3, rel=0.1)

@@ -214,9 +214,13 @@ class Amplitude:
         return float(self.weight.max(axis=1) @ (lowest + 0.5 * (steps**2).mean(axis=0))) + TINY
 
     def period(self, holds: Sequence[Array]) -> float:
-        """Return the period [s] below which nearly all of A^2 is, in each of some holds."""
+        """Return the period [s] below which nearly all of A^2 is, in each of some holds.
+
+        A hold without any power, where a coarse sensor reads one value, tells none.
+        """
         shares = np.array([np.cumsum((self.weight * power).sum(axis=0)) for power in holds])
-        shares /= np.maximum(shares[:, -1:], 1e-300)
+        shares = shares[shares[:, -1] > 0.0]
+        shares /= shares[:, -1:]
         first = int((shares > AMPLITUDE.slow).argmax(axis=1).min())
         return 1.0 / float(self.windows.frequency[first])
 
