@@ -264,6 +264,22 @@ def test_a_mode_that_is_faint_beside_a_strong_one_counts_where_that_is_quiet():
     assert np.argmin(levels(amplitude, holds)) == 4
 
 
+@pytest.mark.parametrize("hysteresis", [False, True])
+def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hysteresis):
+    rng = np.random.default_rng(0)
+    places = [0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.5, 0.25, 1.0]
+    goes = [1.0, 0.01, 1.0, 1.0, 0.01, 0.01, 1.0, 1.0, 1.0]
+    sizes = [0.2 + abs(u - 0.5) for u in places]
+    holds = [
+        hold(rng, [(10.0, b if hysteresis else a), (4.0, 0.0 if hysteresis else 3.0 * b)])
+        for a, b in zip(sizes, goes, strict=True)
+    ]
+    assert weighs_at(choose_amplitude(WINDOWS, holds), 0, 10.0 if hysteresis else 4.0)
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
+    assert weighs_at(amplitude, 0, 10.0)
+    assert not weighs_at(amplitude, 0, 4.0)
+
+
 def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
     rng = np.random.default_rng(0)
     holds = [hold(rng, [(3.0, a)], noise=0.0) for a in (1.0, 0.5, 0.0)]

@@ -1,9 +1,9 @@
 """The amplitude of the oscillation: of all that reacts to theta, in every channel and frequency.
 
 A window of samples is cut into groups of frequencies. A group reacts if its power differs between
-two holds beyond what its errors explain; a line that does not react is interference. With P_cg the
-power of group g in channel c, F_cg the background there and s_c^2 the most that channel c was seen
-to move,
+two holds beyond what its errors explain; a line that does not react is interference, and so is what
+differs as much between holds at one place. With P_cg the power of group g in channel c, F_cg the
+background there and s_c^2 the most that channel c was seen to move,
 
     A^2 = sum_c w_c sum_{g reacts} (P_cg - F_cg) / s_c^2  /  sum_c w_c
 
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.origin import studied
 
 TINY = 1e-12  # share of a power that rounding leaves
@@ -62,6 +62,11 @@ class AmplitudeSettings(Settings):
     )
     line: float = studied(
         0.5, "power of a quiet group over one within the lobe that is left out", low=0.0
+    )
+    same: float = judged(0.005, "distance of two holds at one place, in ranges", low=0.0)
+    pairs: int = judged(3, "of such holds before they tell what comes and goes", low=1)
+    comes: float = judged(
+        0.25, "variance of a log power at one place over that of all holds, left out", low=0.0
     )
     minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
 
@@ -274,6 +279,7 @@ def choose_amplitude(
     windows: Windows,
     holds: Sequence[Array],
     importance: Sequence[float] = (),
+    places: Sequence[tuple[float, int]] = (),
     beside: bool = False,
 ) -> Amplitude | None:
     """Choose what is summed, from the powers of holds once each had settled.
@@ -286,6 +292,8 @@ def choose_amplitude(
         Powers of the windows of each hold, W at least 2.
     importance : sequence of float, optional
         w_c of each channel; alike unless given.
+    places : sequence of (float, int), optional
+        Position of theta at each hold, NaN where it tells nothing, and the side it came from.
     beside : bool
         Whether what is beside a quiet line counts: longer windows may tell it from that.
 
@@ -306,6 +314,8 @@ def choose_amplitude(
     reacts = _change(mean, doubt) > AMPLITUDE.change
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
     reacts[:, : AMPLITUDE.lowest] = False  # a window has too little of a slow interference
+    of_theta = reacts & _repeats(mean, error, places)
+    reacts = of_theta if of_theta.any() else reacts  # an oscillation may differ, with hysteresis
     if not beside:
         reacts &= ~_is_beside_line(mean, reacts)
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
@@ -366,6 +376,21 @@ def _change(mean: Array, doubt: Array) -> Array:
     """Return by how much log powers of holds differ beyond doubt, both (H, n, G): shape (n, G)."""
     level = np.log(mean)
     return np.asarray((level - doubt).max(axis=0) - (level + doubt).min(axis=0))
+
+
+def _repeats(mean: Array, error: Array, places: Sequence[tuple[float, int]]) -> NDArray[np.bool_]:
+    """Return whether groups have about the same power where theta is the same, shape (n, G).
+
+    An interference that comes and goes differs as much there as over the whole range. With
+    hysteresis only holds that theta came to from the same side are alike.
+    """
+    at, level = np.array(places).reshape(-1, 2), np.log(mean)
+    apart = np.abs(at[:, None] - at).max(axis=2)
+    first, again = np.nonzero(np.triu(apart < AMPLITUDE.same, 1))
+    if first.size < AMPLITUDE.pairs:
+        return np.ones(mean.shape[1:], bool)
+    squares = (level[first] - level[again]) ** 2 - error[first] ** 2 - error[again] ** 2
+    return np.asarray(0.5 * squares.mean(axis=0) < AMPLITUDE.comes * level.var(axis=0))
 
 
 def _beside(windows: Windows, density: Array, reacts: NDArray[np.bool_]) -> Array:

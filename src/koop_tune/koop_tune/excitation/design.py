@@ -589,8 +589,10 @@ class Design:
         s = self._settings
         for last in (False, False, True):
             powers = [hold.late(self.windows) for hold in holds]
-            self.amplitude = choose_amplitude(self.windows, powers, self.rig.weights)
-            reacts = choose_amplitude(self.windows, powers, self.rig.weights, beside=True)
+            places = [(h.u if h in self.holds else math.nan, h.side) for h in holds]
+            known = self.windows, powers, self.rig.weights, places
+            self.amplitude = choose_amplitude(*known)
+            reacts = choose_amplitude(*known, beside=True)
             if reacts is None or last:
                 return
             self.period = reacts.period([p.mean(axis=0) for p in powers])
