@@ -333,8 +333,8 @@ def choose_amplitude(
     use = (size > 0.0) & (
         hides < max(AMPLITUDE.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0) * size
     )
-    if not use.any():
-        return None
+    if not use.any():  # what differs at one place is then all that there is
+        return choose_amplitude(windows, holds, importance, (), beside) if len(places) else None
     w = np.where(use, np.array(importance or [1.0] * size.size), 0.0)
     weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()
     floor = math.sqrt(float((weight * unsure).sum()) + TINY)
