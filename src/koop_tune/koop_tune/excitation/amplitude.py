@@ -47,7 +47,7 @@ class AmplitudeSettings(Settings):
     beside: int = parameter(4, "quiet groups to each side that tell a background", low=1)
     doubt: float = studied(0.1, "share of that background that is not known", low=0.0, high=1.0)
     falls: float = studied(
-        4.0, "factor of another group's power where one that stays at its least is background",
+        4.0, "factor of a group's power over its least: what stays where it falls is background",
         low=1.0,
     )  # fmt: skip
     hidden: float = studied(0.3, "background over motion of a channel that is left out", low=0.0)
@@ -314,8 +314,7 @@ def choose_amplitude(
     reacts = _change(mean, doubt) > AMPLITUDE.change
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
     reacts[:, : AMPLITUDE.lowest] = False  # a window has too little of a slow interference
-    of_theta = reacts & _repeats(mean, error, places)
-    reacts = of_theta if of_theta.any() else reacts  # an oscillation may differ, with hysteresis
+    reacts &= _repeats(mean, error, places)
     if not beside:
         reacts &= ~_is_beside_line(mean, reacts)
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
@@ -333,7 +332,7 @@ def choose_amplitude(
     use = (size > 0.0) & (
         hides < max(AMPLITUDE.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0) * size
     )
-    if not use.any():  # what differs at one place is then all that there is
+    if not use.any():  # what differs at one place is then all that there is, as with hysteresis
         return choose_amplitude(windows, holds, importance, (), beside) if len(places) else None
     w = np.where(use, np.array(importance or [1.0] * size.size), 0.0)
     weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()

@@ -591,14 +591,12 @@ class Design:
             powers = [hold.late(self.windows) for hold in holds]
             places = [(h.u if h in self.holds else math.nan, h.side) for h in holds]
             known = self.windows, powers, self.rig.weights, places
-            self.amplitude = choose_amplitude(*known)
-            reacts = choose_amplitude(*known, beside=True)
-            if reacts is None or last:
-                return
+            if last or (reacts := choose_amplitude(*known, beside=True)) is None:
+                break
             self.period = reacts.period([p.mean(axis=0) for p in powers])
             squares = [float(reacts.squares(p).mean()) for p in powers]
             if max(squares) < s.clear**2 * max(min(squares), 0.0):
-                return  # of what reacts a little the frequency is not known
+                break  # of what reacts a little the frequency is not known
             length = window_length(self.period, s.window, self.rig.dt)
             if self._queue and self._slow:  # until theta was where that shows
                 length = max(length, self.windows.length)
@@ -606,7 +604,7 @@ class Design:
                 longest = min(hold.size for hold in holds) // s.brief
                 length = min(length, max(longest, 64, self.windows.length))
             if 0.7 < length / self.windows.length < 1.5:
-                return
+                break
             self.windows = self.windows._replace(length=length)
             least = s.brief * length  # at the first positions theta goes again where it was shorter
             self._queue += [hold.u for hold in self.holds if hold.size < least]
@@ -615,6 +613,7 @@ class Design:
             if len(holds) < 2:
                 self.amplitude = None
                 return
+        self.amplitude = choose_amplitude(*known)
 
     @property
     def left(self) -> int:
