@@ -153,12 +153,14 @@ def find_rests(
     for segment in list_segments(loaded.begins):
         part = u[segment]
         moved = ~(np.abs(np.diff(part)) <= settings.still / length)  # NaN moves
-        joins = bool(pieces)
+        joins, finite = bool(pieces), np.isfinite(part).tolist()
         for a, b in pairwise(_split(part, moved, settings.same)):
-            if not np.isfinite(part[a]):
+            if not finite[a]:
                 joins = bool(pieces)
                 continue
-            value = float(np.median(part[a:b]) if b > a + 1 else part[a])  # most are of one sample
+            if b - a < settings.fewest * length and not joins and all(finite[b : b + 1] or [False]):
+                continue  # theta moved on: most are of one sample
+            value = float(np.median(part[a:b]))
             if not joins or abs(value - pieces[-1][-1][0]) > settings.same:
                 pieces.append([])
             joins = False
