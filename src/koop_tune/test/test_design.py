@@ -238,8 +238,12 @@ def test_an_oscillation_too_slow_for_the_windows_counts_if_theta_makes_it():
     assert design.ended == KNOWN
     assert design.amplitude.weight[:, np.abs(design.windows.frequency - SLOW) < 0.01].any()
     assert 0.55 < design.static_map().best() < 0.7  # where hypot(exp(0.7 - 4 u), u - 0.5) is least
-    hums = Simulated(wide, slow=lambda u: 0.3)
-    _, moves = excite(hums, replace(RIG, time=3e4))
+
+
+@pytest.mark.parametrize("slow", [lambda u: 0.3, lambda u: 0.25 + 0.25 * u])
+def test_what_is_slower_and_does_not_react_or_is_faint_needs_no_longer_windows(slow):
+    rig = Simulated(wide, noise=0.5, slow=slow, seed=1)  # holds long enough to see it
+    _, moves = excite(rig, replace(RIG, time=3e4))
     assert not any("what is slower reacts" in move.why for move in moves)
 
 

@@ -356,8 +356,14 @@ class Design:
             holds = [h for h in self.holds if h.size >= s.fewest * windows.length]
             powers = [windows.powers(h.x[h.size // 2 :]) for h in holds]
             amplitude = choose_amplitude(windows, powers, self.rig.weights) if powers else None
-            if amplitude is not None and amplitude.weight[:, windows.frequency < lowest].any():
-                return windows.length
+            if amplitude is None:
+                continue
+            units = self.summed.weight.max(axis=1, keepdims=True)  # 0: the channel is new
+            weight = np.where(units > 0.0, units * (amplitude.weight > 0.0), amplitude.weight)
+            weight *= windows.frequency < lowest
+            most = max(float((weight * power.mean(axis=0)).sum()) for power in powers)
+            if most > (s.clear**2 - 1.0) * math.exp(2.0 * self.rig.sense * static_map.least):
+                return windows.length  # with it the best amplitude may be another
         return None
 
     def _is_slower(self, static_map: StaticMap) -> bool:
