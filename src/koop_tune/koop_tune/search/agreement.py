@@ -264,7 +264,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     )
     for run in runs:
         level = math.log(run.amplitude)
-        worse = level + aim.sense * aim.settings.sure * (run.doubt + aim.error)
+        worse = level + aim.sense * aim.settings.sure * math.hypot(run.doubt, aim.error)
         ends = (worse, final) if aim.sense > 0 else (-final, worse)
         excess = aim.amplitude.most(*ends)
         if math.isinf(excess):

@@ -103,7 +103,7 @@ class VerificationSettings(Settings):
     errors: float = studied(2.0, "standard errors that a band is widened by", low=0.0)
     sure: float = parameter(
         1.0, "standard errors by which an amplitude may be larger than measured", low=0.0,
-        origin="one in twenty",
+        origin="one in six, at the limit",
     )  # fmt: skip
     later: float = studied(1.2, "time to converge, over the band", low=1.0)
     least: float = studied(0.25, "time that a loop is closed, over the prediction's", low=0.0)
