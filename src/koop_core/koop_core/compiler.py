@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numba
 from numba import types
-from numba.core import ir
+from numba.core import entrypoints, ir
 from numba.core.caching import FunctionCache
 from numba.core.cgutils import ir as llvm  # llvmlite's, of which this is the one use
 from numba.core.compiler_lock import global_compiler_lock
@@ -23,6 +23,8 @@ from koop_core.foreign import call
 # A kernel that is inlined is copied block by block, with all its variables for each: a quarter of
 # the time that a kernel takes to compile. What is copied is used once, and can share them.
 ir.Scope.__deepcopy__ = lambda self, memo: self
+# Numba would look through all that is installed for extensions of it; these kernels need none.
+entrypoints._already_initialized = True
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
