@@ -29,7 +29,7 @@ class Probe:
         from rclpy.experimental.events_executor import EventsExecutor
 
         from koop_node.node.dds_profile import set_dds_profile
-        from koop_node.node.entities import WithoutEvents
+        from koop_node.node.rclpy_internals import WithoutEvents
 
         set_dds_profile(udp=True)  # else what is lost on the way is sent again seconds later
         self.context = rclpy.Context()

@@ -67,7 +67,7 @@ class Rig:
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
 
-        from koop_node.node.entities import WithoutEvents
+        from koop_node.node.rclpy_internals import WithoutEvents
 
         self._context = rclpy.Context()
         self._context.init(args=[])

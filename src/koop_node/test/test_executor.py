@@ -9,8 +9,8 @@ from std_srvs.srv import Trigger
 
 from koop_core.port import IDLE, MORE
 from koop_core.wakeup import wait
-from koop_node.node.entities import WithoutEvents
 from koop_node.node.executor import AT_ONCE, Executor
+from koop_node.node.rclpy_internals import WithoutEvents
 
 
 @pytest.fixture

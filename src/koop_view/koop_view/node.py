@@ -16,7 +16,7 @@ from rclpy.signals import SignalHandlerOptions
 from koop_bag.recorder.topics import polled
 from koop_core.errors import KoopError, one_line
 from koop_node.node.dds_profile import set_dds_profile
-from koop_node.node.entities import WithoutEvents
+from koop_node.node.rclpy_internals import WithoutEvents
 from koop_node.process.lifeline import end_with_parent
 from koop_view.config import ViewConfig
 from koop_view.live.source import LiveSource

@@ -41,7 +41,7 @@ class Client:
         from rclpy.experimental.events_executor import EventsExecutor
 
         from koop_node.node.dds_profile import set_dds_profile
-        from koop_node.node.entities import WithoutEvents
+        from koop_node.node.rclpy_internals import WithoutEvents
 
         set_dds_profile(udp)
         self._context = rclpy.Context()

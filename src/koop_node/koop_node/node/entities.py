@@ -11,7 +11,6 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -26,39 +25,11 @@ from koop_node.node.graph import Listeners, best_effort_only, message_type_of, p
 from koop_node.node.memory import Memory
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
-from koop_node.process.joining import joining, leaving
 
 PATIENCE = 0.5  # [s] that the last messages may take to arrive
 LOOK_PERIOD = 0.05  # [s] between looks for subscribers
 
 _TWO = inspect.signature(lambda message, info: None)
-
-
-class WithoutEvents(Node):
-    """A node without the callbacks for QoS events that rclpy installs by default.
-
-    With its EventsExecutor they can deadlock (rmw_fastrtps 890): the middleware calls them while it
-    holds a lock. They would log that somebody offers another type or QoS; ``ros2 topic info -v``
-    shows it too. The node joins and leaves its domain as :mod:`koop_node.process.joining` says.
-    """
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        with joining():
-            super().__init__(*args, **options)
-
-    def destroy_node(self) -> None:
-        with leaving():
-            super().destroy_node()
-
-    def create_publisher(self, *args: Any, **options: Any) -> Publisher:
-        options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
-        return super().create_publisher(*args, **options)
-
-    def create_subscription(self, *args: Any, **options: Any) -> Subscription:
-        options.setdefault(
-            "event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False)
-        )
-        return super().create_subscription(*args, **options)
 
 
 class Writer:

@@ -7,7 +7,7 @@ all that has come, and is not woken for it again; rclpy's EventsExecutor keeps a
 message, and takes again.
 
 Timers are of :mod:`koop_node.node.schedule`; there are no waitables in these nodes, see
-:class:`koop_node.node.entities.WithoutEvents`.
+:class:`koop_node.node.rclpy_internals.WithoutEvents`.
 """
 
 from __future__ import annotations

@@ -22,10 +22,10 @@ from koop_core.port import OTHER
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import ERROR, OK, STALE, WARN, News, NodeFinding, summary
 from koop_node.node import schedule
-from koop_node.node.entities import Entities, Input, WithoutEvents
+from koop_node.node.entities import Entities, Input
 from koop_node.node.graph import can_say_more, publishers_of, unheard
 from koop_node.node.parameters import Parameters
-from koop_node.node.rclpy_internals import RefusingLifecycleNode
+from koop_node.node.rclpy_internals import RefusingLifecycleNode, WithoutEvents
 from koop_node.process.housekeeping import release_compiler
 
 __all__ = ["ERROR", "OK", "STALE", "WARN", "Entities", "ManagedNode", "Run", "message_type"]

@@ -1,13 +1,32 @@
-"""The private parts of rclpy that the nodes need, each with the reason."""
+"""What the nodes need of rclpy's private parts, or otherwise than rclpy does it: each with why."""
 
 from __future__ import annotations
 
+import inspect
+import sys
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.impl import rcutils_logger
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+
+from koop_node.process.joining import joining, leaving
+
+# rclpy tells lines that log from each other by file and number, but has Python look for their text,
+# too, in all modules that there are: a tenth of the time that a node takes to start.
+rcutils_logger.inspect = SimpleNamespace(  # type: ignore[assignment]
+    currentframe=inspect.currentframe, getframeinfo=partial(inspect.getframeinfo, context=0)
+)
+# Of this package messages need only what loads their type support; it brings its generator of code,
+# if that can be imported, with a parser for which it has no use here: 30 ms of every start.
+sys.modules.setdefault("rosidl_generator_py.generate_py_impl", None)  # type: ignore[arg-type]
 
 
 def parameter_overrides(node: Node) -> dict[str, Any]:
@@ -28,6 +47,33 @@ def publishers_as_told(node: Node, topic: str) -> list[dict[str, Any]]:
             node.handle, topic, False
         )
     return told
+
+
+class WithoutEvents(Node):
+    """A node without the callbacks for QoS events that rclpy installs by default.
+
+    With its EventsExecutor they can deadlock (rmw_fastrtps 890): the middleware calls them while it
+    holds a lock. They would log that somebody offers another type or QoS; ``ros2 topic info -v``
+    shows it too. The node joins and leaves its domain as :mod:`koop_node.process.joining` says.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        with joining():
+            super().__init__(*args, **options)
+
+    def destroy_node(self) -> None:
+        with leaving():
+            super().destroy_node()
+
+    def create_publisher(self, *args: Any, **options: Any) -> Publisher:
+        options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
+        return super().create_publisher(*args, **options)
+
+    def create_subscription(self, *args: Any, **options: Any) -> Subscription:
+        options.setdefault(
+            "event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False)
+        )
+        return super().create_subscription(*args, **options)
 
 
 class RefusingLifecycleNode(LifecycleNode):
