@@ -13,6 +13,8 @@ from koop_tune.excitation.amplitude import (
     Windows,
     bridge_gaps,
     choose_amplitude,
+    find_hidden,
+    find_step,
     whole_amplitude,
 )
 
@@ -286,3 +288,23 @@ def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
     amplitude = choose_amplitude(WINDOWS, holds)
     means = [power.mean(axis=0) for power in holds]
     assert amplitude.period(means) == amplitude.period(means[:2]) == pytest.approx(1 / 3, rel=0.1)
+
+
+@pytest.mark.parametrize(("noise", "hides"), [(0.02, True), (0.6, False)])
+def test_what_a_coarse_sensor_cannot_show_is_floor(noise, hides):
+    step, rng = 0.5, np.random.default_rng(3)
+    t = np.arange(20 * LENGTH) * DT
+    signals = [a * np.sin(2 * np.pi * 2.0 * t) + noise * rng.normal(size=t.size) for a in 3.0 * U]
+    x = [np.column_stack([step * np.round(s / step), s]) for s in signals]
+    steps = [find_step(each) for each in x]
+    assert np.isinf([each[1] for each in steps]).all()
+    assert min(each[0] for each in steps) == pytest.approx(step)
+    hidden = find_hidden(steps, [each.std(axis=0) for each in x])
+    # a sine of half a step is not seen, but for what noise lifts over it
+    assert hidden == pytest.approx([step**2 / 8.0 if hides else 0.0, 0.0])
+    holds = [WINDOWS.powers(each) for each in x]
+    known, unaware = (choose_amplitude(WINDOWS, holds, hidden=h) for h in (hidden, ()))
+    assert np.array_equal(known.weight, unaware.weight)
+    floor = known.weight[0].max() * hidden[0]
+    assert known.floor == pytest.approx(np.sqrt(unaware.floor**2 + floor))
+    assert (known.floor > 0.05) == hides

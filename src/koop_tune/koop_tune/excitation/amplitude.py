@@ -11,7 +11,8 @@ so that 1 is the strongest motion seen. What the background hides is told as a f
 
     A^2 >= sum_c w_c sum_g dF_cg / s_c^2  /  sum_c w_c
 
-with dF the error of F. The background is what the quiet groups beside have, which theta does not
+with dF the error of F, and q_c^2 / 8 on top where a sensor of step q_c stood still: a sine of up to
+half a step is not seen. The background is what the quiet groups beside have, which theta does not
 change; and where a group stays at its least while another still falls, what it has there: a line of
 interference, or noise.
 """
@@ -67,6 +68,9 @@ class AmplitudeSettings(Settings):
     pairs: int = judged(3, "of such holds before they tell what comes and goes", low=1)
     comes: float = judged(
         0.25, "variance of a log power at one place over that of all holds, left out", low=0.0
+    )
+    repeated: float = parameter(
+        0.25, "different values over samples of a sensor with a step", low=0.0, high=1.0
     )
     minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
 
@@ -280,6 +284,7 @@ def choose_amplitude(
     holds: Sequence[Array],
     importance: Sequence[float] = (),
     places: Sequence[tuple[float, int]] = (),
+    hidden: Sequence[float] = (),
     beside: bool = False,
 ) -> Amplitude | None:
     """Choose what is summed, from the powers of holds once each had settled.
@@ -294,6 +299,8 @@ def choose_amplitude(
         w_c of each channel; alike unless given.
     places : sequence of (float, int), optional
         Position of theta at each hold, NaN where it tells nothing, and the side it came from.
+    hidden : sequence of float, optional
+        Power that a sensor's step may hide in each channel, see :func:`find_hidden`.
     beside : bool
         Whether what is beside a quiet line counts: longer windows may tell it from that.
 
@@ -333,10 +340,12 @@ def choose_amplitude(
         hides < max(AMPLITUDE.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0) * size
     )
     if not use.any():  # what differs at one place is then all that there is, as with hysteresis
-        return choose_amplitude(windows, holds, importance, (), beside) if len(places) else None
+        known = windows, holds, importance, (), hidden, beside
+        return choose_amplitude(*known) if len(places) else None
     w = np.where(use, np.array(importance or [1.0] * size.size), 0.0)
     weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()
-    floor = math.sqrt(float((weight * unsure).sum()) + TINY)
+    unseen = weight.max(axis=1) @ np.array(hidden or [0.0] * size.size)
+    floor = math.sqrt(float((weight * unsure).sum() + unseen) + TINY)
     return Amplitude(windows, weight, float((weight * background).sum()), floor)
 
 
@@ -404,6 +413,32 @@ def _beside(windows: Windows, density: Array, reacts: NDArray[np.bool_]) -> Arra
         beside = np.r_[quiet[quiet < g][-AMPLITUDE.beside :], quiet[quiet > g][: AMPLITUDE.beside]]
         result[c, g] = density[c, beside].min(initial=math.inf if beside.size else 0.0) * width[g]
     return result
+
+
+def find_step(x: Array) -> Array:
+    """Return the step of each channel's sensor, from samples, shape (M, n): shape (n,).
+
+    Infinite where it is finer than what was seen, or nothing moved.
+    """
+    steps = np.full(x.shape[1], math.inf)
+    for j, column in enumerate(x.T):
+        values = np.unique(column[np.isfinite(column)])
+        if 1 < values.size < AMPLITUDE.repeated * column.size:
+            steps[j] = np.diff(values).min()
+    return steps
+
+
+def find_hidden(steps: Sequence[Array], deviations: Sequence[Array]) -> list[float]:
+    """Return the power that a sensor's step may hide in each channel.
+
+    Parameters
+    ----------
+    steps, deviations : sequence of ndarray, shape (n,)
+        Step and standard deviation of each hold. What moves by more than a step is carried over it.
+    """
+    step = np.min(steps, axis=0)
+    stood = np.isfinite(step) & (np.min(deviations, axis=0) < step)
+    return np.where(stood, step**2 / 8.0, 0.0).tolist()
 
 
 def bridge_gaps(x: Array) -> Array:

@@ -31,6 +31,7 @@ from koop_tune.excitation.amplitude import (
     Amplitude,
     Windows,
     choose_amplitude,
+    find_hidden,
     whole_amplitude,
     window_length,
 )
@@ -596,7 +597,8 @@ class Design:
         for last in (False, False, True):
             powers = [hold.late(self.windows) for hold in holds]
             places = [(h.u if h in self.holds else math.nan, h.side) for h in holds]
-            known = self.windows, powers, self.rig.weights, places
+            hidden = find_hidden(*zip(*(hold.steps() for hold in holds), strict=True))
+            known = self.windows, powers, self.rig.weights, places, hidden
             if last or (reacts := choose_amplitude(*known, beside=True)) is None:
                 break
             self.period = reacts.period([p.mean(axis=0) for p in powers])

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, judged
-from koop_tune.excitation.amplitude import Amplitude, Windows
+from koop_tune.excitation.amplitude import Amplitude, Windows, bridge_gaps, find_step
 from koop_tune.origin import studied
 
 Array = NDArray[np.float64]
@@ -70,6 +70,7 @@ class Hold:
         self._parts = [x]
         self._known: tuple[Windows, Array] | None = None
         self._level: tuple[Amplitude, int, Level] | None = None
+        self._steps: tuple[int, Array, Array] | None = None
 
     @property
     def x(self) -> Array:
@@ -89,6 +90,12 @@ class Hold:
                 self._known = None
             else:
                 self._known = windows, np.concatenate([powers, windows.powers(x)])
+
+    def steps(self) -> tuple[Array, Array]:
+        """Return the step of each channel's sensor and its standard deviation, shapes (n,)."""
+        if self._steps is None or self._steps[0] != self.size:
+            self._steps = self.size, find_step(self.x), bridge_gaps(self.x).std(axis=0)
+        return self._steps[1:]
 
     def powers(self, windows: Windows) -> Array:
         """Return the powers of its windows, shape (W, n, G)."""

@@ -269,7 +269,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         excess = aim.amplitude.most(*ends)
         if math.isinf(excess):
             faults.append(
-                f"near theta = {spell(run.theta)} the background hides what is left: of an "
+                f"near theta = {spell(run.theta)} background or sensor hides what is left: of an "
                 f"amplitude below {aim.amplitude.floor:.2g} nothing can be told"
             )
         elif excess > good:
