@@ -335,7 +335,7 @@ def verdict(
         last = (
             f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; leave "
             f"theta at {aim.theta}, the best of the map, or set theta_min and theta_max closer "
-            "around it, or a longer 'time', and choose another --out"
+            "around it and choose another --out"
         )
     elif worse:
         last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"

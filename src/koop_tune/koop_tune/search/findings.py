@@ -190,6 +190,7 @@ def _find_best(
     )  # fmt: skip
 
 
+STRONGER = "record a channel in which the oscillation is stronger"
 TO_DO = (
     "run 'koop check' to see whether theta reaches the rig and what hides the oscillation, then "
     "record wider limits or longer holds (increase 'time')"
@@ -266,13 +267,11 @@ def _drowned(findings: Findings) -> str:
         other = findings.scale.theta_at(clearest.clearest[1].best())
         return (
             f"{seen} the cost {clearest.cost.name} leads to {other:.4g}: it sums what that "
-            "amplitude leaves out, which changes with theta too; record longer holds (increase "
-            "'time'), which show slower motion, or measure where the oscillation is stronger"
+            f"amplitude leaves out, which changes with theta too; {STRONGER}"
         )
     return (
         f"{seen} no cost shows it (evidence {clearest.evidence:.1f}): noise or interference "
-        "drowns it; record longer holds (increase 'time'), or measure where the oscillation is "
-        "stronger"
+        f"drowns it; {STRONGER}"
     )
 
 

@@ -27,7 +27,7 @@ from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Dwells, find_dwells
 from koop_tune.rig_model.surrogate import high_pass
-from koop_tune.search.findings import CostMaps, NoOptimum
+from koop_tune.search.findings import STRONGER, CostMaps, NoOptimum
 from koop_tune.search.limits import ThetaLimits, limit_theta
 from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.run import make_esc, round_digits
@@ -200,7 +200,7 @@ def _refuse_astray(
         raise NoOptimum(
             "drowned",
             f"the cost {cost.name} does not lead to the optimum of {name}: noise or interference "
-            "drowns it; record longer holds (increase 'time')",
+            f"drowns it; {STRONGER}",
             tuning.findings,
         )
 
