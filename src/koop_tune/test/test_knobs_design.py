@@ -133,6 +133,19 @@ def test_a_knob_without_effect_is_left_at_its_start():
     assert others[-4:] == away  # it is looked at once more, at the best
 
 
+def test_a_knob_without_effect_makes_room_for_another_along_a_line():
+    file = replace(KNOBS, constraint="z[0] + 0.5 z[1] >= 3.4")
+
+    def level(u):
+        return 6.0 * (u[1] - 0.2) ** 2
+
+    design, _ = run(KnobsDesign(file), SimulatedKnobs(level))
+    assert design.ended == KNOWN
+    least, there = (KNOBS.u(theta) for theta in ([3.0, 0.8], [2.0, 2.8]))
+    assert level(there) - level(least) > math.log(2.0)  # with the first knob at its start
+    assert level(design.base) - level(least) < math.log(1.15)
+
+
 def test_a_knob_whose_effect_shows_at_the_best_of_another_only_is_found():
     def level(u):
         return 6.0 * (u[1] - 0.3) ** 2 + 2.5 * math.exp(-30.0 * (u[1] - 0.3) ** 2) * u[0] ** 2

@@ -3,9 +3,11 @@
 A rig with one knob has one section. With several:
 
 1. Each knob in turn goes over its range, the others where the best was seen so far.
-2. A knob without effect is named, and stays at its start.
+2. A knob without effect is named, and stays at its start, unless a line between knobs lets it make
+   room for another.
 3. Two holds to either side of each pair of knobs tell how they are coupled: at the least of the
-   bowl that fits all holds (:mod:`koop_tune.excitation.bowl`) theta is held, until none is better.
+   bowl that fits all holds (:mod:`koop_tune.excitation.bowl`) theta is held, until none is better;
+   at a line between knobs it goes along that.
 4. Through the best, each knob's section is found out as that of a rig with one knob
    (:class:`koop_tune.excitation.design.Design`), and one without effect is gone over once more.
    Steps 3 and 4 are repeated while the best moves.
@@ -15,11 +17,11 @@ The holds grow with n^2, not exponentially. A valley off all of these lines is n
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -210,6 +212,13 @@ class KnobsDesign:
         sure = section.chi_squared - left > KNOBS.trend
         return not section.flat or (sure and float(np.ptp(trend)) > KNOBS.gain)
 
+    def _matters(self, knob: int, effective: set[int]) -> bool:
+        """Return whether a knob has an effect, or a line lets it make room for one that has."""
+        return knob in effective or any(
+            line.weights[knob] != 0.0 and any(line.weights[k] != 0.0 for k in effective)
+            for line in self.rig.lines
+        )
+
     # -- where theta goes -----------------------------------------------------------------------
 
     def _plan(self) -> Iterator[KnobsMove]:
@@ -229,24 +238,29 @@ class KnobsDesign:
             self.ended = FLAT
             return
         self.sections = lines
-        self._useful = list(filter(self._has_effect, knobs))
-        if not self._useful:
+        effective = set(filter(self._has_effect, knobs))
+        if not effective:
             self.ended = FLAT
             return
+        self._useful = [knob for knob in knobs if self._matters(knob, effective)]
         self._move_base()
         way = {knob: self._width(knob) for knob in self._useful}
-        for a, b in combinations(self._useful, 2):
+        for a, b in itertools.combinations(self._useful, 2):
             for side in (1.0, -1.0):
                 place = self._beside({a: way[a], b: side * way[b]})
                 yield from self._hold_at(place, "how two knobs are coupled")
         self.sections, self.lines = {}, {}
         for cycle in range(KNOBS.cycles):
             yield from self._descend()
+            yield from self._slide()
             for knob in self._useful:
                 width = self._half_width(knob)
                 first = [self.base[knob] + share * width for share in (-1.0, -0.5, 0.5, 1.0)]
-                yield from self._along(knob, [u for u in first if 0.0 <= u <= 1.0])
+                inside = [u for u in first if 0.0 <= u <= 1.0]
+                yield from self._along(knob, inside, knob in effective)
                 self.sections[knob], self.lines[knob] = self._design.holds, self._through
+                if self._has_effect(knob):
+                    effective.add(knob)
                 self._move_base()
             found = [] if cycle else [knob for knob in knobs if knob not in self._useful]
             for knob in found:  # what hid its effect may be gone at the best
@@ -398,6 +412,35 @@ class KnobsDesign:
             if (place := self._least_of_bowl()) is None:
                 return
             yield from self._hold_at(place, "the least of the bowl that fits all holds")
+
+    def _slide(self) -> Iterator[KnobsMove]:
+        """Go along the lines that the base is at for as long as that gains."""
+        step = KNOBS.most
+        while step >= KNOBS.least:
+            before = self.base
+            for place in self._places_on_lines(step):
+                yield from self._hold_at(place, "along a line between knobs")
+                if not np.array_equal(self.base, before):
+                    break
+            else:
+                step *= 0.5
+
+    def _places_on_lines(self, step: float) -> Iterator[Array]:
+        """Return places beside the base on each line that it is at, a step of a knob away."""
+        rig, spans = self.rig, np.array([one.span for one in self.rig.knobs()])
+        for line in rig.lines:
+            knobs = [knob for knob in self._useful if line.weights[knob]]
+            room = -line.excess(rig.theta_at(self.base)) / np.abs(line.weights)[knobs]
+            if (room / spans[knobs]).min(initial=math.inf) > KNOBS.same:
+                continue
+            for (a, b), side in itertools.product(itertools.combinations(knobs, 2), (1.0, -1.0)):
+                place = self.base.copy()
+                place[a] = min(max(place[a] + side * step, 0.0), 1.0)
+                there = list(rig.theta_at(place))
+                there[b] -= line.excess(there) / line.weights[b]
+                place = self._keep(rig.u(there))
+                if min(np.abs(place - u).max() for _, u in self.held) > KNOBS.same:
+                    yield place
 
 
 def least_within(rig: RigFile, bowl: Bowl, knobs: Sequence[int], base: Array) -> Array:
