@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from koop_study.family import oscillator
 from koop_study.family.config import LOGARITHMIC, WITH_OPTIMUM, FamilyConfig
@@ -311,6 +312,22 @@ def _map(d: _Draws, name: str, best: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _second_gain(p: RigParams, gain: NDArray[np.float64]) -> float:
+    """Return the factor of a second mode's gains with which all channels together show both alike.
+
+    Each channel is in units of its own strongest motion, as in the measured amplitude: the true
+    one, the root of L_1^2 + L_2^2, is then proportional to that.
+    """
+    squares = np.array([oscillator.two_modes(p, float(u), 0.0) for u in GRID]) ** 2
+
+    def more(log_factor: float) -> float:
+        gains = np.array([gain, math.exp(log_factor) * gain[::-1]]) ** 2
+        shares = gains / (squares @ gains).max(axis=0)
+        return float((shares[1] - shares[0]).sum())
+
+    return math.exp(brentq(more, -20.0, 20.0))
+
+
 def _sensors(d: _Draws, p: RigParams, name: str) -> RigParams:
     """Add channels, their noise and the interference."""
     low, high = d.config.channels
@@ -319,9 +336,9 @@ def _sensors(d: _Draws, p: RigParams, name: str) -> RigParams:
     angle = d["mix"].uniform(0.0, 2.0 * math.pi, n)
     gain = np.exp(d["mix"].uniform(math.log(0.5), math.log(2.0), n))
     mix[:, 0], mix[:, 1] = gain * np.cos(angle), gain * np.sin(angle)
-    # all channels together show two modes alike: what is least in them is least in truth
-    angle, gain = d["second_mix"].uniform(0.0, 2.0 * math.pi, n), gain[::-1]
-    mix[:, 3], mix[:, 4] = gain * np.cos(angle), gain * np.sin(angle)
+    angle = d["second_mix"].uniform(0.0, 2.0 * math.pi, n)
+    second = gain[::-1] * (_second_gain(p, gain) if name == "two-modes" else 1.0)
+    mix[:, 3], mix[:, 4] = second * np.cos(angle), second * np.sin(angle)
     mix[:, 2] = [d.of("harmonic") for _ in range(n)]
     rms = p.middle * math.sqrt(0.5)  # of Re z at the middle level
     noise = 0.0 if d.happens("quiet") else d.of("noise")
