@@ -13,7 +13,7 @@ from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 
 DT = 0.008
-OMEGA = 2.0 * math.pi * 20.0
+TURN = 2.0 * math.pi * 20.0 * DT  # between two samples
 BEST, SECOND_BEST = 0.8, 0.1
 PATIENCE, COMMANDED = 0.3, 3.0  # [s] for the answer to a sample; since the last command
 TYPES = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64")  # measured, command
@@ -138,6 +138,8 @@ class PaperRig(Rig):
 class FastRig(Rig):
     """Oscillates at 20 Hz; its amplitude follows 0.3 + (theta - 0.8)^2 within 0.1 s.
 
+    With another ``dt`` it is slower, but for its amplitude: 6.25 samples are a period.
+
     The second channel moves half as far as the first: were they equal, their norm would not
     oscillate, and a raw cost would be blind to them.
 
@@ -178,10 +180,11 @@ class FastRig(Rig):
         Time without a command [s] after which it returns theta by itself.
     """
 
-    def __init__(self, two_knobs=False):
+    def __init__(self, two_knobs=False, dt=DT):
         from std_msgs.msg import Float64, Float64MultiArray
 
         super().__init__("fast_rig")
+        self._dt = dt
         self.theta, self.moved = RIG.theta_start, []
         self.second: float | None = None
         self.size, self.pairs = 1.0, []
@@ -220,9 +223,9 @@ class FastRig(Rig):
             self._executor.spin_once(timeout_sec=max(max(due, self._due) - time.monotonic(), 0.0))
             if time.monotonic() < max(due, self._due):
                 continue
-            due = max(due + DT, time.monotonic() - LATE)
+            due = max(due + self._dt, time.monotonic() - LATE)
             if self.second is not None:
-                due = time.monotonic() + DT
+                due = time.monotonic() + self._dt
                 self._due = due + PATIENCE
             k += 1
             self.age += 1
@@ -234,9 +237,9 @@ class FastRig(Rig):
             if self.second is not None:
                 b = 10.0 * (self.second - SECOND_BEST)
                 aim = 0.3 + a**2 + a * b + b**2
-            self.size += DT / 0.03 * (aim - self.size)
-            x = self.size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
-            y = 0.5 * self.size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
+            self.size += self._dt / 0.03 * (aim - self.size)
+            x = self.size * math.sin(TURN * k) + rng.gauss(0.0, 0.05)
+            y = 0.5 * self.size * math.cos(TURN * k) + rng.gauss(0.0, 0.05)
             said = [99.0 if self.spike else self.louder * x, y]
             if self.dead is not None:
                 said[self.dead] = 0.5

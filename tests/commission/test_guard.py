@@ -51,6 +51,7 @@ SAFE = 1.0
 SHARED = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate", "theta_start",
           "theta_safe", "channel_max")  # fmt: skip
 SLOW = replace(RIG, theta_rate=4.0, theta_safe=SAFE)
+SLOWER_DT = 0.02  # most tests wait for times of the guard's; each sample costs five processes
 LOOP = {
     "koopman_lifter": {
         "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "measured": RIG.measured,
@@ -61,6 +62,23 @@ LOOP = {
     },
     "koop_guard": {name: as_values(SLOW)[name] for name in SHARED},
 }  # fmt: skip
+
+
+SLOWER_LOOP = {
+    "koopman_lifter": {
+        **LOOP["koopman_lifter"], "dt": SLOWER_DT, "omega_h": 40.0, "omega_l": 8.0,
+    },
+    "relay_esc": {**LOOP["relay_esc"], "dwell": 0.5, "tau_f": 0.5},
+    "koop_guard": {**LOOP["koop_guard"], "dt": SLOWER_DT},
+}  # fmt: skip
+
+
+@pytest.fixture
+def fast_rig(own_domain):
+    """Run a rig that is not as fast."""
+    rig = FastRig(dt=SLOWER_DT)
+    yield rig
+    rig.close()
 
 
 @pytest.fixture
@@ -76,7 +94,7 @@ def up(fast_rig, koop, nodes_of, tmp_path, probe, states):
     """Close the loop, and wait until the controller moves the rig."""
 
     def start(out="run", options=(), **guard):
-        values = {**LOOP, "koop_guard": {**LOOP["koop_guard"], **guard}}
+        values = {**SLOWER_LOOP, "koop_guard": {**SLOWER_LOOP["koop_guard"], **guard}}
         parameter_file.write(values, tmp_path / "loop.yaml")
         text = (tmp_path / "loop.yaml").read_text().replace("/**/", "/")
         (tmp_path / "loop.yaml").write_text(text)
@@ -433,7 +451,7 @@ def test_a_loop_goes_on_where_its_controller_was_killed(
     facts = tmp_path / "facts"
     process, nodes = up(on_alarm=alarm(facts), rearms=9)  # a busy machine may be silent
     file, initial = tmp_path / ".loop.yaml.controller", LOOP["relay_esc"]["theta_initial"]
-    dwell = Parameter("dwell", value=LOOP["relay_esc"]["dwell"] + 0.01).to_parameter_msg()
+    dwell = Parameter("dwell", value=SLOWER_LOOP["relay_esc"]["dwell"] + 0.01).to_parameter_msg()
     request = SetParameters.Request(parameters=[dwell])
     assert probe.call(SetParameters, "/relay_esc/set_parameters", request).results[0].successful
 
