@@ -102,7 +102,7 @@ def _spin(
     executor = Executor()
     for node in nodes:
         executor.add_node(node)
-    house = Housekeeping(time.monotonic())  # before the first tick, for it takes a while
+    house = Housekeeping(time.monotonic())
     asked = False
     ended: list[ManagedNode[Any]] = []
     code = 0
