@@ -88,6 +88,17 @@ def of_one(kernel: type[Any], name: str) -> type[Any]:
     return type(kernel.__name__, (kernel,), {"theta": property(log, set_exp)})
 
 
+@cache
+def blas_threads() -> Any:
+    """Return what limits the threads of BLAS; to find its libraries takes a tenth of a fit.
+
+    They must have been imported.
+    """
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
 @dataclass(frozen=True)
 class StaticMap:
     """Logarithm of a level at holds of theta.
@@ -149,7 +160,6 @@ class StaticMap:
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
-        from threadpoolctl import threadpool_limits
 
         s = self.settings
         kernel = of_one(ConstantKernel, "constant_value")(1.0, (0.01, 30.0)) * of_one(
@@ -162,7 +172,7 @@ class StaticMap:
             kernel, alpha=self._alpha, n_restarts_optimizer=1, random_state=0
         )
         # threads only wait for each other over matrices as small as these: five times the time
-        with threadpool_limits(1, "blas"), warnings.catch_warnings():
+        with blas_threads().limit(limits=1), warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # a bound is an answer here
             process.fit(self.u[:, None], self.y - middle)
         return process, middle
