@@ -136,6 +136,23 @@ def test_each_of_what_damped_means_is_asked_of_every_loop(aim, good, change, mes
         assert re.search(message, fault)
 
 
+@pytest.mark.parametrize(("worse", "good"), [(1.0, True), (1.8, False), (None, False)])
+def test_beyond_the_valley_of_the_map_counts_what_the_loop_showed_there(aim, worse, good):
+    length = round(aim.window / DT)
+    windows = np.arange(60)
+    beyond = windows % 6 == 3 if worse else windows == 40  # of one window nothing is known
+    amplitude = np.repeat(np.where(beyond, worse or 1.0, 1.0), length)
+    t = np.arange(amplitude.size) * DT
+    x = amplitude * np.sin(2 * np.pi * t / PERIOD)
+    actual = measure(aim, 4.0 * x[: 8 * length, None], x[:, None], np.where(beyond, 1.2, 0.7))
+    assert actual.high == (1.2,)
+    assert actual.amplitude < 1.25
+    assert actual.beyond == (pytest.approx(worse, rel=0.02) if worse else None)
+    faults = find_faults(aim, [actual, replace(actual, low=(0.6,), high=(0.8,))])
+    assert (faults == []) == good
+    assert good or "theta swings from 0.7 to 1.2, the valley reaches from 0.4 to 1" in faults[0]
+
+
 def test_a_reduction_that_its_error_explains_is_none(aim, good):
     still = replace(good, amplitude_before=1.05, amplitude=1.0, reduction=1.05, error=0.04)
     (fault,) = find_faults(aim, [still, still])

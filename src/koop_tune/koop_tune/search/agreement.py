@@ -6,7 +6,8 @@ need to grow,
 
 - the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong,
   and of the best that an earlier round knew;
-- all of theta's swing lies in the valley of that map;
+- all of theta's swing lies in the valley of that map, or in what the loop itself showed to be as
+  good where it went beyond;
 - and, from the worse start, the amplitude fell by more than its error explains.
 """
 
@@ -147,6 +148,11 @@ class Measured:
         Share of the second half in which a constraint was broken.
     modes : tuple of float
         Factors by which the aim's modes are worse than each at its own best, errors subtracted.
+    beyond : float or None
+        Amplitude in the windows of the second half in which theta was not in the valley all the
+        time; None if there were fewer than two.
+    beyond_doubt : float
+        Standard error of its logarithm.
     """
 
     time_to_converge: float | None
@@ -162,6 +168,8 @@ class Measured:
     high: tuple[float, ...]
     broken: float = 0.0
     modes: tuple[float, ...] = ()
+    beyond: float | None = None
+    beyond_doubt: float = 0.0
 
     @property
     def swing(self) -> tuple[float, ...]:
@@ -187,7 +195,8 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     amplitude = aim.amplitude
     powers = amplitude.windows.powers(x)
     squares, first = map(amplitude.squares, (powers, amplitude.windows.powers(before)))
-    late = squares[squares.size // 2 :]
+    half = squares.size // 2
+    late = squares[half:]
     level, error = mean_level(late, amplitude.floor)
     if late.size >= 4:
         (early, a), (last, b) = (mean_level(h, amplitude.floor) for h in np.array_split(late, 2))
@@ -200,6 +209,8 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     errors = [min(value, aim.settings.unknown) for value in (error, error_before)]
     u = [knob.scale.u(path) for knob, path in zip(aim.knobs, paths, strict=True)]
     best = [knob.scale.u(np.array(knob.theta)) for knob in aim.knobs]
+    out = squares[_is_beyond(aim, theta, squares.size) & (np.arange(squares.size) >= half)]
+    beyond, error_beyond = mean_level(out, amplitude.floor) if out.size > 1 else (None, 0.0)
     return Measured(
         (int(inside[0]) + k) * aim.window if inside.size else None,
         max(float(np.abs(each - at).mean()) for each, at in zip(u, best, strict=True)),
@@ -212,8 +223,18 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
         tuple(k.scale.theta_at(float(v.mean())) for k, v in zip(aim.knobs, u, strict=True)),
         tuple(float(path.min()) for path in paths),
         tuple(float(path.max()) for path in paths),
-        modes=tuple(_find_worse(aim, mode, powers[squares.size // 2 :]) for mode in aim.modes),
+        modes=tuple(_find_worse(aim, mode, powers[half:]) for mode in aim.modes),
+        beyond=None if beyond is None else math.exp(beyond),
+        beyond_doubt=error_beyond,
     )
+
+
+def _is_beyond(aim: Aim, theta: Array, count: int) -> NDArray[np.bool_]:
+    """Return in which of some windows theta, shape (K,) or (K, n), was not in the valley."""
+    outside = np.zeros(theta.shape[0], bool)
+    for knob, path in zip(aim.knobs, np.atleast_2d(theta.T), strict=True):
+        outside |= ~_is_inside(knob, path, path)
+    return np.array([part.any() for part in np.array_split(outside, count)])
 
 
 def _find_worse(aim: Aim, mode: Mode, powers: Array) -> float:
@@ -262,11 +283,14 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         aim.known,
         *(aim.sense * math.log(run.amplitude) + run.doubt for run in runs),
     )
+
+    def most(amplitude: float, doubt: float) -> float:
+        worse = math.log(amplitude) + aim.sense * aim.settings.sure * math.hypot(doubt, aim.error)
+        return aim.amplitude.most(*((worse, final) if aim.sense > 0 else (-final, worse)))
+
     for run in runs:
-        level = math.log(run.amplitude)
-        worse = level + aim.sense * aim.settings.sure * math.hypot(run.doubt, aim.error)
-        ends = (worse, final) if aim.sense > 0 else (-final, worse)
-        excess = aim.amplitude.most(*ends)
+        excess = most(run.amplitude, run.doubt)
+        beyond = math.inf if run.beyond is None else most(run.beyond, run.beyond_doubt)
         if math.isinf(excess):
             faults.append(
                 f"near theta = {spell(run.theta)} background or sensor hides what is left: of an "
@@ -277,7 +301,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
                 f"near theta = {spell(run.theta)} the amplitude may be {excess:.3g} times the best "
                 f"known, {good:g} is the most"
             )
-        elif not all(map(_is_inside, aim.knobs, run.low, run.high)):
+        elif beyond > good and not all(map(_is_inside, aim.knobs, run.low, run.high)):
             low, high = (spell([knob.valley[end] for knob in aim.knobs]) for end in (0, 1))
             faults.append(
                 f"theta swings from {spell(run.low)} to {spell(run.high)}, the valley reaches from "
@@ -298,10 +322,11 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     return faults
 
 
-def _is_inside(knob: KnobAim, low: float, high: float) -> bool:
+def _is_inside(knob: KnobAim, low: Array | float, high: Array | float) -> NDArray[np.bool_]:
     """Return whether a knob swings in its valley, or hardly beyond."""
     slack = 0.02 * (knob.valley[1] - knob.valley[0])
-    return knob.valley[0] - slack <= low and high <= knob.valley[1] + slack
+    inside = (knob.valley[0] - slack <= low) & (high <= knob.valley[1] + slack)
+    return np.asarray(inside)
 
 
 def spell(theta: Sequence[float]) -> str:
