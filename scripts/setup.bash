@@ -311,6 +311,17 @@ build() (
     --cmake-args -G Ninja -DBUILD_TESTING=OFF "-DPython3_EXECUTABLE=$VENV/bin/python"
 )
 
+# Print a path list without the folders in which setuptools has left nothing but a link to a package's sources. Colcon
+# lists those, too, and in 18 folders more every import would be looked for in vain.
+without_links() {
+  local entry kept=
+  local IFS=:
+  for entry in $1; do
+    compgen -G "$entry/*.egg-link" >/dev/null || kept+=:$entry
+  done
+  printf '%s' "${kept#:}"
+}
+
 # Source the workspace once and keep what that sets: its own script takes a second each time. Path lists are kept as what
 # comes in front of the caller's.
 write_env_file() (
@@ -326,6 +337,7 @@ write_env_file() (
     for name in "${PATH_LISTS[@]}"; do
       added=${!name:-}
       added=${added%"${outer[$name]}"}
+      [[ $name != PYTHONPATH ]] || added=$(without_links "$added")
       # shellcheck disable=SC2016
       [[ -z $added ]] || printf 'export %s=%q"${%s:+:$%s}"\n' "$name" "${added%:}" "$name" "$name"
     done
