@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Iterator
@@ -15,6 +16,8 @@ from koop_node.process.domain import hold_domain
 
 ROOT = Path(__file__).parent
 ALLOWED_SKIPS = ROOT / "tests" / "allowed_skips.txt"
+
+gc.disable()  # until all that tests import is there
 
 # A script starts what it sends to the background with SIGINT ignored, and every process under it
 # inherits that: the tests of Ctrl-C would wait for ever.
@@ -75,6 +78,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if {"own_domain", "module_domain"} & set(getattr(item, "fixturenames", ())):
             item.add_marker("ros")
+
+
+def pytest_collection_finish() -> None:
+    """Take the tests and all that they import out of every later collection of garbage."""
+    gc.freeze()
+    gc.enable()
 
 
 def allowed_skips() -> list[str]:
