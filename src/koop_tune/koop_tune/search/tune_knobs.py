@@ -140,7 +140,10 @@ def tune_knobs(
     try:
         tuning = tune(parts[knob], rigs[knob], training, amplitude, settings, report, room)
     except NoOptimum as no:
-        text = f"over {rig.knob_names[knob]}, which shows the optimum best, {no}"
+        there = zip(rig.knob_names, rig.theta_at(lines[knob]), strict=True)
+        name = rig.knob_names[knob]
+        others = ", ".join(f"{other} = {theta:.4g}" for other, theta in there if other != name)
+        text = f"over {name}, which shows the optimum best, with {others}: {no}"
         raise NoOptimum(no.kind, text, no.findings, knob) from None
     for k in sections:
         if k != knob:
