@@ -88,7 +88,23 @@ def test_how_a_bag_is_read_in_batches_does_not_matter(data):
 def test_steps_pair_only_neighbours_of_the_same_run_and_share():
     step = np.array([0, 1, 2, 4, 5, 5, 6, 0, 1, 2])
     x = np.array([10.0, 11, 12, 14, 15, 15, np.nan, 20, 21, 22])[:, None]
-    segmentation = Segmentation("steps", 0.01, 1.0)
+    segmentation = Segmentation("steps", 0.01, 0.01)
     pairs = split(segmentation, step * 10_000_000, step, x, {3}, 1)
     assert pairs == [(10, 11), (11, 12), (14, 15), (20, 21), (21, 22)]
     assert split(segmentation, step * 10_000_000, step, x, {3}, 3) == []
+
+
+def test_missing_steps_are_bridged_where_that_is_asked_for():
+    step = np.delete(np.arange(40), [3, 10, 11, 20, 21, 22])
+    x = np.column_stack([np.sin(0.1 * step), step])
+    segmenter = Segmenter(Segmentation("steps", 0.01, 0.03))  # two missing ones, not three
+    parts = [slice(0, 3), slice(3, 9), slice(9, None)]
+    fed = [Batch(step[p] * 10_000_000, step[p], x[p]) for p in parts]
+    found = [part for batch in fed for part in segmenter.split(batch)]
+    states = np.hstack([part.states for part in found])
+    assert states[1].tolist() == [*range(20), *range(23, 40)]
+    assert [part.states[1, 0] for part in found if part.begins] == [0.0, 23.0]
+    there = np.isin(states[1], step)
+    assert states[0][there].tolist() == x[:, 0].tolist()  # to the bit
+    # a straight line over 0.03 s: h^2 |x''| / 8
+    assert np.abs(states[0] - np.sin(0.1 * states[1])).max() <= 0.3**2 / 8.0

@@ -15,7 +15,10 @@ from koop_identify.model.from_bags import BagTraining, load_bags, train_from_bag
 from koop_identify.recording.loaded import Loaded
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
+from koop_identify.settings import READING
 from koop_tune.excitation import progress
+from koop_tune.excitation.amplitude import Windows
+from koop_tune.excitation.design import DESIGN
 from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import CONTROLLER, FIGURES, MODEL
 from koop_tune.result import as_text
@@ -101,10 +104,11 @@ def tune_folders(
     return True
 
 
-def reading_of(bag: Path, rig: RigFile) -> BagReading:
+def reading_of(bag: Path, rig: RigFile, windows: Windows | None = None) -> BagReading:
     """Return the topics and time step with which recordings of a rig are read.
 
     The lifter's and the controller's topics are read where the bag has them, else the rig's own.
+    Where messages were lost, half a period of the slowest oscillation that reacts is bridged.
 
     Raises
     ------
@@ -116,7 +120,9 @@ def reading_of(bag: Path, rig: RigFile) -> BagReading:
     measured = recorded_source(f"{STATE}:x" if STATE in topics else rig.measured)
     told = [recorded_source(f"{THETA}:{','.join(f'theta[{i}]' for i in range(rig.count))}")]
     commands = told if THETA in topics else rig.command_sources
-    return BagReading(measured, tuple(commands), rig.dt)
+    bridged = 0.5 * windows.seconds / DESIGN.window if windows else 0.0
+    gap = bridged if bridged > READING.gaps * rig.dt else None
+    return BagReading(measured, tuple(commands), rig.dt, gap)
 
 
 def load_since(
@@ -129,7 +135,7 @@ def load_since(
     koop_core.errors.InputError
         If they cannot be used.
     """
-    loaded, reading = load_bags(bags, reading_of(bags[0], rig))
+    loaded, reading = load_bags(bags, reading_of(bags[0], rig, excitation.windows))
     return loaded.after(int(excitation.since / rig.dt)), reading
 
 

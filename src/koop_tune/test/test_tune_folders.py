@@ -56,11 +56,17 @@ def write(folder, topics, states=True):
 
 def test_the_loops_own_topics_are_read_where_the_bag_has_them(tmp_path):
     other = replace(RIG, measured="/rig:data[0],data[1]")
-    loop = reading_of(write(tmp_path / "loop", ["/theta", "/knob"]), other)
+    windows = Windows(800, other.dt)  # 8 periods of the oscillation
+    loop = reading_of(write(tmp_path / "loop", ["/theta", "/knob"]), other, windows)
     assert (str(loop.measured), *map(str, loop.commands)) == ("/state:x", "/theta:theta[0]")
-    bare = reading_of(write(tmp_path / "bare", ["/knob"], states=False), other)
+    bare = reading_of(write(tmp_path / "bare", ["/knob"], states=False), other, windows)
     assert (str(bare.measured), *map(str, bare.commands)) == ("/rig:data[0],data[1]", "/knob:data")
     assert bare.dt == other.dt
+    assert bare.gap == pytest.approx(50.0 * other.dt)  # half a period
+    assert reading_of(tmp_path / "bare", other, Windows(64, other.dt)).gap == pytest.approx(
+        4.0 * other.dt
+    )
+    assert reading_of(tmp_path / "bare", other, Windows(32, other.dt)).gap is None  # three dt
 
 
 def test_the_bags_of_an_excitation_are_those_of_its_parts(tmp_path, capsys):

@@ -60,7 +60,7 @@ class Contents:
             bags = list_bags(self.folder, self.rig, self.excitation)
             if not bags:
                 return "no recording yet"
-            return load_bags(bags, reading_of(bags[0], self.rig))[0]
+            return load_bags(bags, reading_of(bags[0], self.rig, self.excitation.windows))[0]
         except (BagError, InputError) as error:
             return str(error)
 

@@ -30,8 +30,9 @@ class BagReading:
     dt : float or None
         Time between two states [s]; None: the recorded loop's, else the messages'.
     gap : float or None
-        Longest pause that is bridged [s]; None: three times the usual period, at least three dt.
-        Without stamps, the time in which no sample was taken, however late those before came.
+        Longest pause that is bridged [s]; None: three times the usual period, at least three dt,
+        but no missing step. Without stamps, the time in which no sample was taken, however late
+        those before came.
     """
 
     measured: Source
@@ -75,7 +76,7 @@ def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[
     way = "steps" if first.step is not None and stepped else "linear"
     counted = way == "linear" and not first.stamped
     usual = counted_spacing(period, dt) if counted else period
-    gap = reading.gap or READING.gaps * max(usual, dt)
+    gap = reading.gap or (dt if way == "steps" else READING.gaps * max(usual, dt))
     segmentation = Segmentation(way, dt, gap, period if counted else 0.0)
     return segmentation, first.x.shape[1]
 

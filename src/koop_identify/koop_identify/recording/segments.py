@@ -1,13 +1,14 @@
 """Samples to segments: states one Dt apart, never bridged across a gap.
 
-A segment ends where a step is missing or goes back (`steps`), where the time between two samples is
-longer than the gap or not positive (`linear`), at a value that is not finite and at the end of a
-bag. The time of a sample is its stamp; where there is none, samples are counted
-(:mod:`koop_identify.recording.counted`): late messages make no gap.
+A segment ends where the time between two samples is longer than the gap or not positive, where a
+step is missing (`steps`; a gap that was asked for is bridged here, too), at a value that is not
+finite and at the end of a bag. The time of a sample is its stamp; where there is none, samples are
+counted (:mod:`koop_identify.recording.counted`): late messages make no gap.
 
 The two ways from samples to states:
 
-- `steps`: as they are; neighbours in step are neighbours in time.
+- `steps`: as they are; neighbours in step are neighbours in time. What a bridged gap lacks is
+  interpolated.
 - `linear`: interpolated on the grid t0 + j Dt of the segment; right for a smooth signal sampled at
   Dt or faster, with an error of h^2 |x''| / 8 between two samples h apart.
 
@@ -40,7 +41,7 @@ class Segmentation:
     dt : float
         Time between two states [s].
     gap : float
-        Longest time between two samples that is bridged [s]; not used with `steps`.
+        Longest time between two samples that is bridged [s].
     period : float
         Mean time between two samples [s] if they are to be counted; 0: their time is known.
     """
@@ -118,7 +119,10 @@ class Segmenter:
             if finite[begin] and end > begin + (not begins):
                 self.count += begins
                 part = slice(begin, end)
-                states = self._states(time[part], x[part], begins)
+                if step is None or self.segmentation.way != "steps":
+                    states = self._states(time[part], x[part], begins)
+                else:
+                    states = _fill(step[part], x[part])[not begins :]
                 if states.shape[0]:
                     yield Segment(states.T, begins)
 
@@ -139,16 +143,15 @@ class Segmenter:
     ) -> NDArray[np.bool_]:
         if self.segmentation.way == "steps":
             assert step is not None
-            return np.asarray(np.diff(step) == 1)
+            most = max(round(self.segmentation.gap / self.segmentation.dt), 1)
+            return np.asarray((np.diff(step) > 0) & (np.diff(step) <= most))
         apart = np.diff(time)
         return np.asarray((apart > 0) & (apart <= self.segmentation.gap * 1e9))
 
     def _states(
         self, time: NDArray[np.int64], x: NDArray[np.float64], begins: bool
     ) -> NDArray[np.float64]:
-        """Return the new states of a part of a segment; its first sample is new if it begins."""
-        if self.segmentation.way == "steps":
-            return x if begins else x[1:]
+        """Return the new states of a part of a segment, on the grid of its first sample."""
         start, number = (int(time[0]), 0) if begins else self._grid
         period = self.segmentation.dt * 1e9
         end = int((time[-1] - start) / period) + 2  # beyond the last sample, whatever the rounding
@@ -160,3 +163,11 @@ class Segmenter:
         span = np.maximum(time[after] - time[before], 1)
         weight = ((grid - time[before]) / span)[:, None]
         return np.asarray(x[before] * (1.0 - weight) + x[after] * weight)
+
+
+def _fill(step: NDArray[np.int64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return samples, shape (M, n), of rising steps with those of missing steps interpolated."""
+    steps = np.arange(step[0], step[-1] + 1)
+    if steps.size == step.size:
+        return x
+    return np.column_stack([np.interp(steps, step, column) for column in x.T])

@@ -174,7 +174,8 @@ def find_rests(
     if len(values) < settings.values:
         raise InputError(
             f"theta was held at {len(values)} values for {settings.fewest} windows of {length} "
-            f"samples: at least {settings.values} are needed: record with 'koop excite'"
+            f"samples without a gap, the recording has {np.count_nonzero(loaded.begins)} parts: at "
+            f"least {settings.values} are needed: record with 'koop excite', without losses"
         )
     centres = np.array([np.mean(group) for group in values])
     return centres, [Rest(int(np.argmin(np.abs(centres - v))), a, b) for v, a, b in rests]
