@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import struct
 from typing import Any
 
 import numpy as np
@@ -72,3 +73,10 @@ class Messages:
 def padded(data: bytes) -> bytes:
     """Return a message as DDS hands it on: filled up to a multiple of four bytes."""
     return data + bytes(-len(data) % 4)
+
+
+def step_of(data: bytes) -> int:
+    """Return the step of a serialized message of the loop; struct.error if it has none."""
+    (length,) = struct.unpack_from("<I", data, 12)  # of the frame, after encoding and stamp
+    (step,) = struct.unpack_from("<Q", data, 4 + (12 + length + 7) // 8 * 8)
+    return int(step)

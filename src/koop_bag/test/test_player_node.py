@@ -7,7 +7,7 @@ import time
 
 import pytest
 import rclpy
-from koop_bag_messages import LOOP, PERIOD, START, padded
+from koop_bag_messages import LOOP, PERIOD, START, padded, step_of
 from koop_bag_ros import Player, Recorder, Talker
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -17,7 +17,6 @@ from rosgraph_msgs.msg import Clock
 from koop_bag.bag.metadata import OfferedQos
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
-from koop_bag.cdr.header import step_of
 from koop_bag.cdr.schema import MessageSchema, load_schema
 from koop_bag.player.node import PlayerNode
 

@@ -67,11 +67,17 @@ NO_PORT = Port(
 
 
 @njit()
+def take(function: int, handle: int, message: NDArray[np.int64], info: NDArray[np.int64]) -> bool:
+    """Take a message into its memory, which rcl may move for it; return whether one came."""
+    return bool(call(function, handle, message.ctypes.data, info.ctypes.data, 0) == 0)
+
+
+@njit()
 def receive(port: Port) -> int:
     """Take a message: return IDLE, PLAIN or OTHER; what is OTHER is in the memory, too."""
     message, data = port.message, port.data
     address = message[0]
-    if call(port.function, port.handle, message.ctypes.data, port.info.ctypes.data, 0) != 0:
+    if not take(port.function, port.handle, message, port.info):
         return IDLE
     if message[0] != address or message[1] < port.size or data[0] != 0 or data[1] != 1:
         return OTHER

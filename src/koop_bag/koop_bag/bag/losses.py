@@ -105,15 +105,28 @@ class LossCounter(StepReport):
             self.backward += 1
             self._aside, self._patience = before, LOSSES.aside
 
+    def add_run(self, first: int, count: int) -> None:
+        """Count messages, at least one, whose steps follow on each other."""
+        self.add(first)
+        if self._patience:
+            for step in range(first + 1, first + count):
+                self.add(step)
+        else:
+            self.count += count - 1
+            self.last += count - 1
+
     def add_many(self, steps: ArrayLike) -> None:
         """Count a column of messages, shape (n,)."""
-        k = np.asarray(steps).astype(np.int64)
-        if k.size == 0:
+        values = np.asarray(steps)
+        if values.dtype.kind != "u":
+            values = values.astype(np.int64)
+        if values.size == 0:
             return
-        self.add(int(k[0]))
+        self.add(int(values[0]))
+        k = values.astype(np.int64)
         ahead = np.diff(k)
-        if self._patience or (ahead < 0).any():
-            for step in k[1:].tolist():
+        if self._patience or (ahead < 0).any() or (k < 0).any():  # of 2**63, ahead wraps around
+            for step in values[1:].tolist():
                 self.add(step)
             return
         near = ahead <= LOSSES.jump

@@ -13,7 +13,7 @@ from mcap.records import Channel, Schema
 from koop_bag.bag.metadata import FileRecord, OfferedQos, TopicRecord, bag_map, dump
 from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError
-from koop_bag.mcap.chunk import ChunkBuffer, Row
+from koop_bag.mcap.chunk import Batch, ChunkBuffer, Row, batch_of
 from koop_bag.mcap.file_writer import McapFileWriter
 from koop_core import whole_file
 from koop_core.config.parameter import Settings, parameter
@@ -113,7 +113,6 @@ class BagWriter:
         self.topics: list[TopicRecord] = []
         self._ros_distro = ros_distro or os.environ.get("ROS_DISTRO", "jazzy")
         self._channels: list[tuple[Schema, Channel]] = []
-        self._sequences: dict[int, int] = {}
         self._notes: dict[str, dict[str, str]] = {}
         self._files: list[FileRecord] = []
         self._opened = 0
@@ -180,7 +179,6 @@ class BagWriter:
         self._guarded(lambda: self._file.add_channel(entry, channel))
         self.topics.append(topic)
         self._channels.append((entry, channel))
-        self._sequences[channel.id] = 0
         return len(self._channels)
 
     def write(
@@ -196,15 +194,20 @@ class BagWriter:
         Without a `sequence` the numbers of a channel count on, beginning at 1.
         """
         if sequence is not None:
-            self._sequences[channel] = sequence - 1
+            self._chunk.number(channel, sequence)
         self.write_many(((log_time, channel, publish_time, data),))
 
     def write_many(self, rows: Iterable[Row]) -> None:
         """Write messages in the order in which they were received."""
+        self.write_batch(batch_of(rows))
+
+    def write_batch(self, batch: Batch) -> None:
+        """Write messages that lie in one buffer."""
         self._check_open()
-        source = iter(rows)
-        while self._chunk.add(source, self._sequences):
+        first, full = self._chunk.add(batch, 0)
+        while full:
             self._write_chunk()
+            first, full = self._chunk.add(batch, first)
 
     def flush(self) -> None:
         """Put the chunk in progress on the disk."""

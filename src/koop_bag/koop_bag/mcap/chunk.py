@@ -7,19 +7,122 @@ that it records.
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
 
+import numpy as np
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex, McapRecord
+from numpy.typing import NDArray
 
-# opcode, record length, channel id, sequence, log time, publish time; the serialized message
-# follows
-_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-_MESSAGE_FIXED = 22  # what the record length counts besides the serialized message
+from koop_core.kernels import direct, njit
+
+HEAD = 31
+"""Bytes of a message record before the serialized message: opcode, record length, channel id,
+sequence, log time, publish time.
+"""
+MESSAGE = int(Opcode.MESSAGE)
+CHANNELS = 1 << 16  # that a file may have
 
 Row = tuple[int, int, int, bytes]
 """log time [ns], channel id, publish time [ns], serialized message."""
+
+LOG_TIME, CHANNEL, PUBLISH_TIME, BEGIN, SIZE = range(5)
+
+
+class Batch(NamedTuple):
+    """Messages in the order in which they were received.
+
+    Attributes
+    ----------
+    table : ndarray of int64, shape (n, 5 or more)
+        A row is a message: log time [ns], channel id, publish time [ns], and where it begins in
+        ``data`` and how long it is [B].
+    data : ndarray of uint8
+        The serialized messages.
+    """
+
+    table: NDArray[np.int64]
+    data: NDArray[np.uint8]
+
+    def rows(self) -> Iterator[Row]:
+        """Yield the messages."""
+        for log_time, channel, publish_time, begin, size in self.table[:, :5].tolist():
+            yield log_time, channel, publish_time, self.data[begin : begin + size].tobytes()
+
+
+def batch_of(rows: Iterable[Row]) -> Batch:
+    """Return rows as a batch."""
+    table, parts, begin = [], [], 0
+    for log_time, channel, publish_time, data in rows:
+        table.append((log_time, channel, publish_time, begin, len(data)))
+        parts.append(data)
+        begin += len(data)
+    whole = np.frombuffer(b"".join(parts), np.uint8)
+    return Batch(np.array(table, np.int64).reshape(-1, 5), whole)
+
+
+class _Progress(NamedTuple):
+    """How far a chunk is; each an array, which the kernel writes to.
+
+    Attributes
+    ----------
+    so_far : ndarray of int64, shape (3,)
+        Bytes and messages gathered, log time of the first of them [ns].
+    records : ndarray of uint8, shape (R,)
+        The message records.
+    entries : ndarray of int64, shape (N, 3)
+        Channel, log time and place of each.
+    sequences : ndarray of uint32, shape (CHANNELS,)
+        Last sequence number of each channel.
+    """
+
+    so_far: NDArray[np.int64]
+    records: NDArray[np.uint8]
+    entries: NDArray[np.int64]
+    sequences: NDArray[np.uint32]
+
+
+@njit()
+def _put(records: NDArray[np.uint8], at: int, value: int, count: int) -> int:
+    """Write an integer of so many bytes; return where it ends."""
+    for i in range(count):
+        records[at + i] = (value >> (8 * i)) & 0xFF
+    return at + count
+
+
+@njit(nogil=True)
+def _append(
+    batch: Batch, first: int, not_before: int, most: int, age: int, progress: _Progress
+) -> tuple[int, bool]:
+    """Append messages from one on; return which is next, and whether the chunk is full."""
+    so_far, records, entries, sequences = progress
+    table, data = batch
+    size, count, start = so_far
+    full = False
+    i = first
+    while i < table.shape[0] and not full:
+        log_time = max(table[i, LOG_TIME], not_before)
+        channel, begin, length = table[i, CHANNEL], table[i, BEGIN], table[i, SIZE]
+        if size == 0:
+            start = log_time
+        sequences[channel] += 1
+        entries[count, 0], entries[count, 1], entries[count, 2] = channel, log_time, size
+        at = _put(records, size, MESSAGE, 1)
+        at = _put(records, at, HEAD - 9 + length, 8)
+        at = _put(records, at, channel, 2)
+        at = _put(records, at, np.int64(sequences[channel]), 4)
+        at = _put(records, at, log_time, 8)
+        at = _put(records, at, table[i, PUBLISH_TIME], 8)
+        size = at + length
+        for j in range(length):
+            records[at + j] = data[begin + j]
+        full = size >= most or log_time >= start + age
+        count += 1
+        i += 1
+    so_far[0], so_far[1], so_far[2] = size, count, start
+    return i, full
 
 
 def encode(record: McapRecord) -> bytes:
@@ -55,46 +158,42 @@ class ChunkBuffer:
         self._compression = compression
         self._max_bytes = max_bytes
         self._max_age = max_age
-        self._parts: list[bytes] = []
-        self._index: dict[int, list[int]] = {}
-        self.size = 0
-        """Bytes of the records gathered."""
-        self.start = 0
-        """Log time of the message that opened the chunk [ns]."""
+        self._progress = _Progress(
+            np.zeros(3, np.int64),
+            np.empty(max_bytes + HEAD, np.uint8),
+            np.empty((max_bytes // HEAD + 2, 3), np.int64),
+            np.zeros(CHANNELS, np.uint32),
+        )
         self.not_before = 0
         """No message is logged before this time [ns]."""
+        none = batch_of(())
+        self._append = direct(_append, none, 0, 0, max_bytes, max_age, self._progress)
 
-    def add(self, rows: Iterator[Row], sequences: dict[int, int]) -> bool:
-        """Take messages until the chunk is full (True) or no more are there (False).
+    @property
+    def size(self) -> int:
+        """Bytes of the records gathered."""
+        return int(self._progress.so_far[0])
 
-        `sequences` holds the last sequence number of each channel and is counted up.
-        """
-        append, pack, opcode = self._parts.append, _MESSAGE_HEAD.pack, int(Opcode.MESSAGE)
-        index, size, max_bytes = self._index, self.size, self._max_bytes
-        not_before = self.not_before
-        full_at = self.start + self._max_age
-        full = False
-        for log_time, channel, publish_time, data in rows:
-            if log_time < not_before:
-                log_time = not_before
-            if size == 0:
-                self.start = log_time
-                full_at = log_time + self._max_age
-            sequence = sequences[channel] = sequences[channel] + 1 & 0xFFFFFFFF
-            length = _MESSAGE_FIXED + len(data)
-            append(pack(opcode, length, channel, sequence, log_time, publish_time))
-            append(data)
-            entries = index.get(channel)
-            if entries is None:
-                entries = index[channel] = []
-            entries.append(log_time)
-            entries.append(size)
-            size += length + 9
-            if size >= max_bytes or log_time >= full_at:
-                full = True
-                break
-        self.size = size
-        return full
+    @property
+    def start(self) -> int:
+        """Log time of the message that opened the chunk [ns]."""
+        return int(self._progress.so_far[2])
+
+    def number(self, channel: int, sequence: int) -> None:
+        """Let the next message of a channel have a sequence number."""
+        self._progress.sequences[channel] = sequence - 1 & 0xFFFFFFFF
+
+    def add(self, batch: Batch, first: int) -> tuple[int, bool]:
+        """Take messages from one on; return which is next, and whether the chunk is full."""
+        largest = int(batch.table[:, SIZE].max(initial=0))
+        if len(self._progress.records) < self._max_bytes + HEAD + largest:
+            records = np.empty(self._max_bytes + HEAD + largest, np.uint8)
+            records[: self.size] = self._progress.records[: self.size]
+            self._progress = self._progress._replace(records=records)
+        next_one: tuple[int, bool] = self._append(
+            batch, first, self.not_before, self._max_bytes, self._max_age, self._progress
+        )
+        return next_one
 
     def is_due(self, now: int) -> bool:
         """Whether messages have waited long enough; `now` in nanoseconds since the epoch."""
@@ -102,29 +201,31 @@ class ChunkBuffer:
 
     def counts(self) -> dict[int, int]:
         """Messages gathered, by channel."""
-        return {channel: len(entries) // 2 for channel, entries in self._index.items()}
+        channels, counts = np.unique(self._entries[:, 0], return_counts=True)
+        return dict(zip(channels.tolist(), counts.tolist(), strict=True))
 
     def encode(self, offset: int) -> tuple[bytes, ChunkIndex]:
         """The chunk and its message indexes, to lie at `offset`, and its entry in the summary."""
-        records = b"".join(self._parts)
+        records = self._progress.records[: self.size].tobytes()
         stored = records if self._compress is None else self._compress(records)
-        times = [entries[::2] for entries in self._index.values()]
+        times = self._entries[:, 1]
         chunk = Chunk(
             compression=self._compression,
             data=stored,
-            message_start_time=min(map(min, times)),
-            message_end_time=max(map(max, times)),
+            message_start_time=int(times.min()),
+            message_end_time=int(times.max()),
             uncompressed_crc=zlib.crc32(records),
             uncompressed_size=len(records),
         )
         out = bytearray(encode(chunk))
         chunk_length = len(out)
         index_offsets = {}
-        for channel, entries in self._index.items():
+        for channel in dict.fromkeys(self._entries[:, 0].tolist()):
             index_offsets[channel] = offset + len(out)
-            size = 8 * len(entries)
+            places = self._entries[self._entries[:, 0] == channel, 1:]
+            size = 16 * len(places)
             out += struct.pack("<BQHI", int(Opcode.MESSAGE_INDEX), 6 + size, channel, size)
-            out += struct.pack(f"<{len(entries)}Q", *entries)
+            out += places.astype("<i8").tobytes()
         return bytes(out), ChunkIndex(
             chunk_length=chunk_length,
             chunk_start_offset=offset,
@@ -139,6 +240,8 @@ class ChunkBuffer:
 
     def clear(self) -> None:
         """Forget everything gathered."""
-        self._parts.clear()
-        self._index.clear()
-        self.size = 0
+        self._progress.so_far[:] = 0
+
+    @property
+    def _entries(self) -> NDArray[np.int64]:
+        return self._progress.entries[: int(self._progress.so_far[1])]

@@ -18,14 +18,16 @@ from koop_bag.bag.metadata import OfferedQos, dump
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import BagWriter
 from koop_bag.errors import BagWriteError
-from koop_bag.mcap.chunk import Row
+from koop_bag.mcap.chunk import ChunkBuffer, Row
 from koop_bag.recorder import run_folder
 from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
+from koop_bag.recorder.drain import Drain
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.summary import SummaryWriter
-from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled
+from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled, skip
 from koop_core.errors import KoopError
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
+from koop_node.process.housekeeping import release_compiler
 
 POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do not depend on it
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
@@ -57,6 +59,9 @@ class RecorderRun(Run):
         self._take_all = not config.topics.strip()
         self._writer: BagWriter | None = None
         self._summary: SummaryWriter | None = None  # of a ring
+        self._drain = Drain()
+        ChunkBuffer(None, "", 0, 0)  # compiled before a message may come: the first time takes long
+        release_compiler()
         self._collector = ParameterCollector(node, node.get_namespace())
         entities.on_close(self._release)
         entities.subscription(
@@ -199,21 +204,22 @@ class RecorderRun(Run):
         if self._writer is not None and self._recording:
             self._guarded(self._write_waiting)
         else:
-            for topic in self._topics.values():
-                topic.skip()
-            for node in self._watched.values():
-                node.take([])
+            skip(self._drain, *self._sources())
 
     def _write_waiting(self) -> None:
         assert self._writer is not None
-        rows = fetch(self._topics.values(), self._watched.values())
-        self._writer.write_many(rows)
+        batch = fetch(self._drain, *self._sources())
+        self._writer.write_batch(batch)
+        rows = [] if self._summary is None else list(batch.rows())
         if self._trips and any([self._is_new_trip(row) for row in rows]):
             self._writer.note_alarm()
         now = time.time_ns()
         self._writer.flush_due(now)
         if self._summary is not None:
             self._summary.add(rows, now)
+
+    def _sources(self) -> tuple[list[RecordedTopic], list[WatchedNode]]:
+        return list(self._topics.values()), list(self._watched.values())
 
     def _is_new_trip(self, row: Row) -> bool:
         """Return whether a message says that a guard has tripped; it may say so again."""

@@ -7,13 +7,11 @@ The time of reception comes from DDS and does not depend on when a message is fe
 
 from __future__ import annotations
 
-import struct
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import suppress
-from operator import itemgetter
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import numpy as np
 from lifecycle_msgs.msg import TransitionEvent
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -22,15 +20,12 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from koop_bag.bag.losses import LOSSES, LossCounter
 from koop_bag.bag.metadata import OfferedQos
-from koop_bag.cdr.header import has_step, step_of
+from koop_bag.cdr.header import has_step
 from koop_bag.cdr.schema import MessageSchema, load_schema
-from koop_bag.mcap.chunk import Row
+from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
+from koop_bag.recorder.drain import NONE, Drain, Rows
 from koop_node.node.managed import message_type
 from koop_node.node.rclpy_internals import publishers_as_told
-
-_AT_ONCE = 2000
-"""Messages taken from one topic before the next one has its turn."""
-
 
 _NO_LIMIT = 9223372036  # [s] DDS's 'no limit'
 
@@ -78,12 +73,23 @@ class RecordedTopic:
         self._wanted = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
         self.subscription = self._subscribe()
 
-    def take(self, taken: list[Taken]) -> None:
-        """Append the messages that wait."""
-        before = len(taken)
-        _take(self, self._type, taken)
-        if len(taken) > before:
+    def count_rows(self, rows: Rows, transitions: Iterable[Transition] = ()) -> None:
+        """Count messages that were taken, and what was lost.
+
+        A transition of a node that publishes the topic interrupts.
+        """
+        if len(rows.table):
             self._heard = time.monotonic()
+            self.count += len(rows.table)
+        if self.losses is None:
+            return
+        for at, name in transitions:
+            if name in self.publishers:
+                end = int(np.searchsorted(rows.table[:, LOG_TIME], at, "right"))
+                rows._replace(table=rows.table[:end]).add_to(self.losses)
+                rows = rows._replace(table=rows.table[end:])
+                self.losses.interrupt()
+        rows.add_to(self.losses)
 
     def silence(self) -> str:
         """Return what to say of a stream that has a publisher and is not heard any more, or ''."""
@@ -94,12 +100,12 @@ class RecordedTopic:
             return ""
         return f"nothing heard from {self.name} for {silent:.0f} s although it has a publisher"
 
-    def skip(self) -> None:
-        """Forget the messages that wait; the steps skipped are not lost."""
-        skipped: list[Taken] = []
-        self.take(skipped)
-        if skipped and self.losses is not None:
-            self.losses.interrupt()
+    def skip_rows(self, rows: Rows) -> None:
+        """Take note that messages were taken and forgotten; their steps are not lost."""
+        if len(rows.table):
+            self._heard = time.monotonic()
+            if self.losses is not None:
+                self.losses.interrupt()
 
     def open_channel(self) -> int:
         """Announce the topic in the bag."""
@@ -146,18 +152,9 @@ class WatchedNode:
             TransitionEvent, f"{name}/transition_event", polled, QoSProfile(depth=100), raw=True
         )
 
-    def take(self, taken: list[Taken]) -> None:
-        """Append the transitions that wait."""
-        _take(self, TransitionEvent, taken)
 
-
-Taken = tuple[int, RecordedTopic | WatchedNode, int, bytes]
-"""Receive time [ns], topic or node, send time [ns], serialized message."""
-
-
-def _take(source: RecordedTopic | WatchedNode, kind: Any, taken: list[Taken]) -> None:
-    for received, sent, data in waiting(source.subscription, kind):
-        taken.append((received, source, sent, data))
+Transition = tuple[int, str]
+"""Time of its reception [ns] and name of the node."""
 
 
 def subscribe(
@@ -176,45 +173,41 @@ def subscribe(
     return node.create_subscription(kind, name, polled, profile, raw=True, event_callbacks=events)
 
 
-def waiting(subscription: Any, kind: Any) -> Iterator[tuple[int, int, bytes]]:
-    """Take the messages that wait: when received and sent [ns], and the serialized message.
-
-    One that was lost and sent again is received after those that waited for it: so are they.
-    """
-    take, received = subscription.handle.take_message, 0
-    for _ in range(_AT_ONCE):
-        item = take(kind, True)
-        if item is None:
-            return
-        data, info = item
-        # not every DDS gives the time of reception
-        received = max(received, info["received_timestamp"] or time.time_ns())
-        yield received, info["source_timestamp"], data
-
-
-def fetch(topics: Collection[RecordedTopic], nodes: Iterable[WatchedNode] = ()) -> list[Row]:
+def fetch(
+    drain: Drain, topics: Sequence[RecordedTopic], nodes: Sequence[WatchedNode] = ()
+) -> Batch:
     """Take the waiting messages of all topics, in the order of reception, and count them.
 
     A transition of a node interrupts the count of the topics that it publishes.
     """
-    taken: list[Taken] = []
+    taken = take(drain, topics, nodes)
+    transitions = sorted(
+        (at, node.name)
+        for node, rows in zip(nodes, taken[len(topics) :], strict=True)
+        for at in rows.table[:, LOG_TIME].tolist()
+    )
+    for topic, rows in zip(topics, taken, strict=False):
+        topic.count_rows(rows, transitions)
+    table = np.concatenate([NONE, *(rows.table for rows in taken[: len(topics)])])
+    table = table[np.argsort(table[:, LOG_TIME], kind="stable")]
+    for number in dict.fromkeys(table[:, CHANNEL].tolist()):
+        if not topics[number].channel:
+            topics[number].open_channel()
+    channels = np.array([topic.channel for topic in topics], np.int64)
+    table[:, CHANNEL] = channels[table[:, CHANNEL]]
+    return Batch(table, drain.data)
+
+
+def skip(drain: Drain, topics: Sequence[RecordedTopic], nodes: Sequence[WatchedNode]) -> None:
+    """Take the waiting messages and forget them."""
+    for topic, rows in zip(topics, take(drain, topics, nodes), strict=False):
+        topic.skip_rows(rows)
+
+
+def take(drain: Drain, topics: Sequence[RecordedTopic], nodes: Sequence[WatchedNode]) -> list[Rows]:
+    """Take the waiting messages, each with the number of its topic for a channel."""
     sources: list[RecordedTopic | WatchedNode] = [*topics, *nodes]
-    for source in sources:
-        source.take(taken)
-    taken.sort(key=itemgetter(0))
-    rows: list[Row] = []
-    for received, topic, sent, data in taken:
-        if isinstance(topic, WatchedNode):
-            for each in topics:
-                if each.losses is not None and topic.name in each.publishers:
-                    each.losses.interrupt()
-            continue
-        topic.count += 1
-        if topic.losses is not None:
-            with suppress(struct.error):  # a damaged message is recorded, too
-                topic.losses.add(step_of(data))
-        rows.append((received, topic.channel or topic.open_channel(), sent, data))
-    return rows
+    return drain.take([source.subscription for source in sources])
 
 
 def offered_qos(profile: QoSProfile) -> OfferedQos:

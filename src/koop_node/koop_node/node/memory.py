@@ -57,7 +57,7 @@ class Memory:
         """Return what compiled code needs; valid while entity and memory are there."""
         take = isinstance(entity, Subscription)
         return Port(
-            _functions()[take], entity.handle.pointer, self.message, self.info, self.data,
+            functions()[take], entity.handle.pointer, self.message, self.info, self.data,
             places.guards, places.size, np.array([places.at[name] for name in names]),
         )  # fmt: skip
 
@@ -84,7 +84,7 @@ class _Allocator(ctypes.Structure):
 
 
 @cache
-def _functions() -> tuple[int, int]:
+def functions() -> tuple[int, int]:
     """Return the addresses of the functions that publish and that take."""
     rcl = ctypes.CDLL("librcl.so")
     functions = rcl.rcl_publish_serialized_message, rcl.rcl_take_serialized_message

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from array import array
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.cdr.schema import load_schema
 from koop_bag.recorder.parameters import ParameterCollector
-from koop_bag.recorder.topics import subscribe, waiting
+from koop_bag.recorder.topics import subscribe
 from koop_core.errors import KoopError, one_line
 from koop_node.node.managed import message_type
 from koop_view import protocol
@@ -118,7 +118,7 @@ class LiveSource(ViewSource):
         for _ in range(EVENTS if self._caller.waiting else 2):
             self._executor.spin_once(timeout_sec=0.0)
         for name, topic in list(self._topics.items()):
-            taken = [(received, data) for received, _, data in waiting(*topic)]
+            taken = list(_waiting(*topic))
             for viewer, subscription in self._viewers.get(name, ()):
                 for received, data in taken:
                     viewer.deliver(subscription, received, data)
@@ -267,3 +267,15 @@ class LiveSource(ViewSource):
 
     def log(self, text: str) -> None:
         self._node.get_logger().info(one_line(text))
+
+
+def _waiting(subscription: Any, kind: Any) -> Iterator[tuple[int, bytes]]:
+    """Take the messages that wait: when each was received [ns], and the serialized message."""
+    take = subscription.handle.take_message
+    for _ in range(WAITING):
+        item = take(kind, True)
+        if item is None:
+            return
+        data, info = item
+        # not every DDS gives the time of reception
+        yield info["received_timestamp"] or time.time_ns(), data

@@ -1,0 +1,232 @@
+"""What the recorder takes in compiled code, beside what rclpy takes of the same topic."""
+
+import random
+import struct
+import time
+from contextlib import suppress
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+import rclpy
+from koop_bag_messages import LOOP, step_of
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+from koop_bag.bag.losses import LossCounter
+from koop_bag.mcap.chunk import CHANNEL, Batch
+from koop_bag.recorder.drain import AT_ONCE, HAS_STEP, MOST, ROOM, STEP, Drain, Rows
+from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, skip, subscribe
+from koop_node.node.managed import message_type
+
+pytestmark = pytest.mark.ros
+
+KIND = message_type(LOOP["/state"])
+DEPTH = 10_000
+
+
+@pytest.fixture
+def node():
+    context = rclpy.Context()
+    context.init(args=[])
+    node = Node("drained", context=context)
+    yield node
+    node.destroy_node()
+    context.shutdown()
+
+
+def listen(node, topic):
+    reliable, volatile = ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE
+    return subscribe(node, KIND, topic, DEPTH, reliable, volatile)
+
+
+def publisher_to(node, topic, listeners):
+    publisher = node.create_publisher(KIND, topic, DEPTH)
+    wait_for(lambda: publisher.get_subscription_count() == listeners)
+    return publisher
+
+
+def wait_for(look):
+    deadline = time.monotonic() + 60.0
+    while not look():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+def take_with_rclpy(subscription):
+    """Return the time when each was sent and the serialized message."""
+    taken = []
+    while (item := subscription.handle.take_message(KIND, True)) is not None:
+        taken.append((item[1]["source_timestamp"], item[0]))
+    return taken
+
+
+def take_with_drain(drain, subscriptions, count):
+    """Return what both were sent, by subscription, and the rows, once so many have come."""
+    taken, rows = [[] for _ in subscriptions], [[] for _ in subscriptions]
+
+    def look():
+        before = time.time_ns()
+        for number, some in enumerate(drain.take(subscriptions)):
+            assert (some.table[:, CHANNEL] == number).all()
+            batch = list(Batch(some.table, drain.data).rows())
+            times = [row[0] for row in batch]
+            assert times == sorted(times)
+            assert all(sent <= received <= time.time_ns() for received, _, sent, _ in batch)
+            assert all(received > before - 60e9 for received in times)
+            taken[number] += [(sent, data) for _, _, sent, data in batch]
+            rows[number].append(some._replace(table=some.table.copy()))
+        return sum(map(len, taken)) == count
+
+    wait_for(look)
+    return taken, rows
+
+
+def count_plainly(messages):
+    """Return the counter of messages that were decoded one by one."""
+    counter = LossCounter()
+    for data in messages:
+        with suppress(struct.error):
+            counter.add(step_of(data))
+    return counter
+
+
+def damaged(rng, data):
+    """Return a message, mostly damaged in some way."""
+    cut = rng.randrange(len(data) + 1)
+    return rng.choice(
+        [
+            data,
+            data[:cut],
+            data[:cut] + rng.randbytes(rng.randrange(40)),
+            rng.randbytes(cut),
+            data[:12] + rng.choice([b"\xff\xff\xff\xff", b"\x00\x01\x00\x00"]) + data[16:],
+            data + rng.randbytes(rng.choice([1, 5_000, 70_000])),
+            b"",
+        ]
+    )
+
+
+def test_what_is_taken_is_what_rclpy_takes_damaged_or_of_any_size(node, messages, rng):
+    drain, topics = Drain(), ("/one", "/two")
+    drained = [listen(node, topic) for topic in topics]
+    beside = [listen(node, topic) for topic in topics]
+    publishers = [publisher_to(node, topic, 2) for topic in topics]
+    sent = [[], []]
+    for _ in range(20):
+        count = rng.choice([0, 1, 30, 150])
+        for k in range(count):
+            which = rng.randrange(2)
+            data = messages.loop("/state", k, frame_id="f" * rng.randrange(20))
+            data = damaged(rng, data) if rng.random() < 0.3 else data
+            publishers[which].publish(data)
+            sent[which].append(data)
+        taken, rows = take_with_drain(drain, drained, count)
+        for number in range(2):
+            expected = []
+            while len(expected) < len(taken[number]):
+                expected += take_with_rclpy(beside[number])
+            assert taken[number] == expected
+            counter = LossCounter()
+            for some in rows[number]:
+                some.add_to(counter)
+            plain = count_plainly([data for _, data in taken[number]])
+            assert asdict(counter) == asdict(plain)
+    assert sum(map(len, sent)) > 500
+
+
+def test_no_topic_keeps_the_others_waiting_and_the_rest_comes_next(node, messages):
+    drain = Drain()
+    drained = [listen(node, topic) for topic in ("/one", "/two")]
+    publishers = [publisher_to(node, topic, 1) for topic in ("/one", "/two")]
+    data = messages.loop("/state", 1)
+    for _ in range(AT_ONCE + 500):
+        publishers[0].publish(data)
+    publishers[1].publish(data)
+    wait_for(lambda: all(p.wait_for_all_acked() for p in publishers))
+    assert [len(rows.table) for rows in drain.take(drained)] == [AT_ONCE, 1]
+    assert [len(rows.table) for rows in drain.take(drained)] == [500, 0]
+    assert [len(rows.table) for rows in drain.take(drained)] == [0, 0]
+    assert drain.take([]) == []
+
+
+def test_large_messages_make_room_for_themselves_and_leave_it(node, rng):
+    drain, drained = Drain(), listen(node, "/one")
+    publisher = publisher_to(node, "/one", 1)
+    sizes = (ROOM - 1, 1, ROOM, 3 * ROOM, MOST, 7)
+    sent = [rng.randbytes(size) for size in sizes]
+    for data in sent:
+        publisher.publish(data)
+    (taken,), _ = take_with_drain(drain, [drained], len(sent))
+    assert [data for _, data in taken] == sent
+    assert len(drain.data) > MOST
+    publisher.publish(sent[-1])
+    take_with_drain(drain, [drained], 1)
+    assert len(drain.data) == ROOM
+
+
+def rows_of(steps):
+    """Return rows as the drain makes them; None is a damaged message."""
+    table = np.zeros((len(steps), 7), np.int64)
+    valid = np.array([step is not None for step in steps], bool)
+    known = np.array([step or 0 for step in steps], np.uint64)
+    table[:, STEP], table[:, HAS_STEP] = known.view(np.int64), valid
+    values = known.tolist()
+    follow = bool(valid.all()) and values == list(range(values[0], values[0] + len(values)))
+    return Rows(table, follow and values[0] < 2**63)
+
+
+def test_losses_are_counted_as_message_by_message():
+    rng = random.Random(11)
+    for _ in range(2_000):
+        counter, plain, step = LossCounter(), LossCounter(), rng.choice([0, 5, 2**63 - 3])
+        for _ in range(rng.randrange(1, 6)):
+            steps = []
+            for _ in range(rng.choice([1, 2, 3, 50, 200])):
+                odd = rng.random() < 0.03
+                step = step + 1 if not odd else rng.choice([0, step, step + 3, step - 9, 2**64 - 1])
+                step = max(0, min(step, 2**64 - 1))
+                steps.append(None if rng.random() < 0.003 else step)
+            if rng.random() < 0.5:
+                steps = list(range(step, step + len(steps)))
+                steps = [min(each, 2**64 - 1) for each in steps]
+            rows_of(steps).add_to(counter)
+            for each in steps:
+                if each is not None:
+                    plain.add(each)
+            if rng.random() < 0.1:
+                counter.interrupt()
+                plain.interrupt()
+        assert asdict(counter) == asdict(plain)
+
+
+def test_topics_are_merged_in_the_order_of_reception_and_channels_opened_in_it(node, messages):
+    opened, drain = [], Drain()
+
+    def announce(topic):
+        opened.append(topic.name)
+        return len(opened)
+
+    names = ("/late", "/early", "/silent")
+    topics = [RecordedTopic(node, name, LOOP["/state"], DEPTH, announce) for name in names]
+    late, early, _ = [publisher_to(node, name, 1) for name in names]
+    watched = [WatchedNode(node, "/other")]
+    for k in range(3):
+        early.publish(messages.loop("/state", k))
+        time.sleep(0.002)
+        late.publish(messages.loop("/state", 10 + k))
+    wait_for(lambda: early.wait_for_all_acked() and late.wait_for_all_acked())
+    rows = list(fetch(drain, topics, watched).rows())
+    assert [(channel, step_of(data)) for _, channel, _, data in rows] == [
+        (1, 0), (2, 10), (1, 1), (2, 11), (1, 2), (2, 12),
+    ]  # fmt: skip
+    assert opened == ["/early", "/late"]
+    assert [topic.count for topic in topics] == [3, 3, 0]
+    early.publish(messages.loop("/state", 9))
+    wait_for(early.wait_for_all_acked)
+    skip(drain, topics, watched)
+    early.publish(messages.loop("/state", 12))
+    wait_for(early.wait_for_all_acked)
+    assert [row[1] for row in fetch(drain, topics, watched).rows()] == [1]
+    assert (topics[1].losses.lost, topics[1].losses.inactive) == (0, 9)
+    assert list(fetch(drain, [], []).rows()) == []
