@@ -1,9 +1,11 @@
 """A rig with two knobs, from its rig file to the verdict."""
 
+import signal
+
 import numpy as np
 import pytest
 from commission_rig import PAPER, PLANT, PaperRig
-from test_excite import RESUMED
+from test_excite import RESUMED, wait
 
 from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
@@ -56,3 +58,11 @@ def test_two_coupled_knobs_are_commissioned_from_rig_file_to_verdict(paper_rig, 
     ends = [amplitude(run.measured.theta) for run in last.runs]
     assert min(ends) < 1.3
     assert not is_damped or max(ends) < 1.5  # the verdict holds; not every law comes as near
+    paper_rig.most, safe = -np.inf, np.array(PAPER.theta_safe)
+    process = koop("up", "run", "--out", "months")
+    wait(lambda: np.abs(paper_rig.theta - safe).max() > 0.5, "the loop to move theta", process)
+    process.send_signal(signal.SIGINT)
+    out, error = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 0, out + error
+    assert paper_rig.theta.tolist() == safe.tolist()
+    assert -np.inf < paper_rig.most <= 0.5  # the line is kept at every sample
