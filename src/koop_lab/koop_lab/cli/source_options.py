@@ -30,7 +30,7 @@ def add_reading_options(parser: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--gap", type=float, metavar="S",
-        help="longest pause that is bridged (default: 3 usual periods, at least 3 dt)",
+        help="longest pause that is bridged (default: 3 usual periods, but no missing step)",
     )  # fmt: skip
 
 
