@@ -153,12 +153,12 @@ def find_rests(
     for segment in list_segments(loaded.begins):
         part = u[segment]
         moved = ~(np.abs(np.diff(part)) <= settings.still / length)  # NaN moves
-        joins, finite = bool(pieces), np.isfinite(part).tolist()
+        joins, finite = bool(pieces), [*np.isfinite(part).tolist(), False]
         for a, b in pairwise(_split(part, moved, settings.same)):
             if not finite[a]:
                 joins = bool(pieces)
                 continue
-            if b - a < settings.fewest * length and not joins and all(finite[b : b + 1] or [False]):
+            if b - a < settings.fewest * length and not joins and finite[b]:
                 continue  # theta moved on: most are of one sample
             value = float(np.median(part[a:b]))
             if not joins or abs(value - pieces[-1][-1][0]) > settings.same:

@@ -209,7 +209,7 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     errors = [min(value, aim.settings.unknown) for value in (error, error_before)]
     u = [knob.scale.u(path) for knob, path in zip(aim.knobs, paths, strict=True)]
     best = [knob.scale.u(np.array(knob.theta)) for knob in aim.knobs]
-    out = squares[_is_beyond(aim, theta, squares.size) & (np.arange(squares.size) >= half)]
+    out = late[_is_beyond(aim, theta, squares.size)[half:]]
     beyond, error_beyond = mean_level(out, amplitude.floor) if out.size > 1 else (None, 0.0)
     return Measured(
         (int(inside[0]) + k) * aim.window if inside.size else None,
