@@ -10,6 +10,7 @@ import time
 import pytest
 from koop_msgs.msg import MeasuredState
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 
 from koop_bag.bag.reader import BagReader
 from koop_identify.recording.loop import read_loop
@@ -65,8 +66,24 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     assert "seed: 2" in text
     assert "output" not in text
     assert "listeners" not in text
+    assert announced(folder) >= {("/vdp_plant", "seed"), ("/koopman_lifter", "model"),
+                                 ("/relay_esc", "tau_f")}  # fmt: skip
     assert main(["demo", "--out", str(folder), "--duration", "20"]) == 2
     assert "holds a recording already: choose another --out" in capsys.readouterr().err
+
+
+def announced(folder):
+    """Return node and name of the parameters that came before the first state, as mcap reads it."""
+    actual = set()
+    with open(folder / "bag" / "bag_0.mcap", "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        topics = ["/state", "/parameter_events"]
+        for _, channel, _, event in reader.iter_decoded_messages(topics):
+            if channel.topic == "/state" and event.step > 0:
+                break
+            if channel.topic == "/parameter_events":
+                actual |= {(event.node, item.name) for item in event.new_parameters}
+    return actual
 
 
 def wait_for(condition, process, what):

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import pytest
 import yaml
@@ -20,6 +21,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
@@ -32,6 +34,7 @@ from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.run_folder import git_revision
 from koop_node.node.managed import message_type
+from koop_node.node.rclpy_internals import announce_parameters
 
 pytestmark = pytest.mark.ros
 
@@ -107,6 +110,23 @@ def test_the_folder_of_a_run_holds_parameters_models_and_versions(tmp_path):
         custom = reader.custom_data()
     assert custom["parameters"] == (folder / "parameters.yaml").read_text()
     assert yaml.safe_load(custom["models"]) == {"vdp.npz": digest[first], changed: digest[second]}
+
+
+def test_a_node_that_answers_no_question_is_known_by_what_it_announces(tmp_path):
+    """As of one that ends before its answer has come: a short run, a busy machine."""
+    model, folder = tmp_path / "vdp.npz", tmp_path / "run"
+    model.write_bytes(b"a model")
+    silent = partial(Node, start_parameter_services=False)
+    options = {"model": str(model), "gain": 0.5, "listeners": "recorder"}
+    with Recorder(folder) as recorder, Talker("lifter", "", silent, **options) as talker:
+        talker.publishers(LOOP)
+        announce_parameters(talker.node)
+        talker.spin_until((folder / "model" / "vdp.npz").is_file, "the model to be kept")
+        recorder.stop()
+        assert recorder.process.returncode == 0, recorder.output()
+    lifter = yaml.safe_load((folder / "parameters.yaml").read_text())["/lifter"]["ros__parameters"]
+    assert (lifter["model"], lifter["gain"]) == (str(model), 0.5)
+    assert "listeners" not in lifter
 
 
 def test_lost_steps_are_counted_while_recording_and_at_the_end(tmp_path, messages):

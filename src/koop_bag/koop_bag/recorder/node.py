@@ -282,7 +282,8 @@ class RecorderRun(Run):
         self._writer.keep(self._custom_data())
 
     def _on_parameter_event(self, event: ParameterEvent) -> None:
-        """Keep a model that a node changes to: the one from its first parameters is not enough."""
+        """Keep what a node announces, and a model that it changes to."""
+        self._collector.hear(event)
         names = {p.name: p.value.string_value for p in event.changed_parameters}
         within = event.node.startswith(self._node.get_namespace().rstrip("/") + "/")
         if self._writer is None or not within or not names.get("model"):

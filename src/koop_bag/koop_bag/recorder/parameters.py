@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Mapping
 from typing import Any
 
+from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
@@ -21,7 +23,8 @@ class ParameterCollector:
     The file starts another run, which would wait for nodes that are not there, or write where a
     recording is.
 
-    Later changes need no asking: they are recorded from /parameter_events.
+    Later changes need no asking: they are recorded from /parameter_events. There a node also
+    announces its parameters before it begins, for a short run may end before it has answered.
 
     Parameters
     ----------
@@ -35,6 +38,8 @@ class ParameterCollector:
         self._node = node
         self._prefix = namespace.rstrip("/") + "/"
         self._asked: dict[str, _Request] = {}
+        self._answered: set[str] = set()
+        self._heard = False  # an announcement, since the last look
         self.values: dict[str, dict[str, Any]] = {}
         """Parameters by full node name."""
         self._own = node.get_fully_qualified_name()
@@ -46,36 +51,51 @@ class ParameterCollector:
             for name, namespace in self._node.get_node_names_and_namespaces()
             if not name.startswith("_")
         }
-        before = len(self.values)
-        if self._own not in self.values:
-            # annotated as values, but they are Parameters
-            declared: Any = self._node.get_parameters_by_prefix("")
+        self._answered &= self.values.keys()  # whose values were dropped is asked again
+        first = self._own not in self.values
+        if first:
+            declared: Any = self._node.get_parameters_by_prefix("")  # Parameters of rclpy
             self.values[self._own] = {
                 name: _plain(item.value)
                 for name, item in declared.items()
                 if name not in ("output", WAITED_FOR)
             }
-        for name in nodes:
-            if name.startswith(self._prefix) and name not in self.values | self._asked:
+        for name in nodes - self._answered - self._asked.keys() - {self._own}:
+            if name.startswith(self._prefix):
                 self._asked[name] = _Request(self._node, name)
-        self.take()
+        taken = self.take()
         for name in self._asked.keys() - nodes:
             self._asked.pop(name).close()
-        return len(self.values) > before
+        return taken or first
 
     def take(self) -> bool:
-        """Take answers in and ask on; return whether all of a node's have come.
+        """Take answers in and ask on; return whether anything new is known.
 
         To be called often: a node that answers may end soon.
         """
-        complete = False
+        new, self._heard = self._heard, False
         for name, request in list(self._asked.items()):
             request.advance()
             if request.values is not None:
-                self.values[name] = {k: v for k, v in request.values.items() if k != WAITED_FOR}
+                self._add(name, request.values)
                 self._asked.pop(name).close()
-                complete = True
-        return complete
+                self._answered.add(name)
+                new = True
+        return new
+
+    def hear(self, event: ParameterEvent) -> None:
+        """Take what a node announces."""
+        within = event.node.startswith(self._prefix) and "/_" not in event.node
+        if within and event.node != self._own and event.new_parameters:
+            announced = event.new_parameters
+            values = {p.name: _plain(parameter_value_to_python(p.value)) for p in announced}
+            self._add(event.node, values)
+            self._heard = True
+
+    def _add(self, node: str, values: Mapping[str, Any]) -> None:
+        """Add parameters; those that are known already stay, for they came before any change."""
+        added = {name: value for name, value in values.items() if name != WAITED_FOR}
+        self.values[node] = added | self.values.get(node, {})
 
     def close(self) -> None:
         """Give up the open requests."""

@@ -126,16 +126,19 @@ def first_values(
     """Return the parameters at the first state, and the names of those that are not in the bag.
 
     The recorder asks every node once, perhaps after a change. What a changed parameter was before
-    is known from the event of its declaration; which cost and model it was, from the first answer.
+    is known from the event that announced it; which cost and model it was, from the first answer.
     """
     values = {node: dict(items) for node, items in collected.items()}
     changed = {(change.node, name): value for change in changes
                for name, value in change.values.items()}  # fmt: skip
     declared: dict[tuple[str, str], Any] = {}
+    later: set[tuple[str, str]] = set()  # a node that begins again announces what was changed
     if changed and any(topic.name == EVENTS for topic in bag.topics):
         for event in _events(bag, namespace):
             for name, value in event.declared.items():
-                declared.setdefault((event.node, name), value)
+                if (event.node, name) not in later:
+                    declared.setdefault((event.node, name), value)
+            later |= {(event.node, name) for name in event.changed}
     unknown = []
     for (node, name), value in changed.items():
         if (node, name) in declared:

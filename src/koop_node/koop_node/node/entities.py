@@ -23,6 +23,7 @@ from koop_core.port import Port
 from koop_node.node import schedule
 from koop_node.node.graph import Listeners, best_effort_only, message_type_of, publishers_of
 from koop_node.node.memory import Memory
+from koop_node.node.rclpy_internals import announce_parameters
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
 
@@ -236,7 +237,8 @@ class Entities:
 
         A reliable writer delivers everything that it wrote after it matched a reader; a node that
         creates its subscription only then tells those upstream that all downstream is ready, and
-        no first sample is lost.
+        no first sample is lost. Before it, the parameters of the node are announced: the answer to
+        a listener that asks for them may come after the end of a short run.
         """
         waited = 0
 
@@ -247,6 +249,7 @@ class Entities:
             self.waiting_for = text and f"waiting for {text}"
             if not text:
                 timer.cancel()
+                announce_parameters(self._node)
                 then()
             elif waited % 100 == 20:
                 self._node.get_logger().info(self.waiting_for)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import ParameterEvent
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.impl import rcutils_logger
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -35,6 +36,21 @@ def parameter_overrides(node: Node) -> dict[str, Any]:
     rclpy only offers to declare them all, with types guessed from the values and an event for each.
     """
     return {name: item.value for name, item in node._parameter_overrides.items()}
+
+
+def announce_parameters(node: Node) -> None:
+    """Publish all parameters of a node on /parameter_events, as rclpy does where one is declared.
+
+    That comes before anyone can listen.
+    """
+    declared: Any = node.get_parameters_by_prefix("")  # Parameters, whatever the annotation says
+    node._parameter_event_publisher.publish(
+        ParameterEvent(
+            stamp=node.get_clock().now().to_msg(),
+            node=node.get_fully_qualified_name(),
+            new_parameters=[parameter.to_parameter_msg() for parameter in declared.values()],
+        )
+    )
 
 
 def publishers_as_told(node: Node, topic: str) -> list[dict[str, Any]]:
