@@ -48,7 +48,8 @@ ONE = replace(RIG, measured="/fast:data[0]", channel_max=(8.0,), theta_rate=4.0)
 VALUES = RIG.scale.theta(np.linspace(0.0, 1.0, 9)).tolist()
 WINDOWS = Windows(25, DT)  # four periods
 GROUPS = (np.abs(WINDOWS.frequency - 20.0) < 11.0).astype(float)
-AMPLITUDE = Amplitude(WINDOWS, 2.0 * GROUPS[None], 0.0, 1e-3)  # a power is half a square
+# a power is half a square
+AMPLITUDE = Amplitude(WINDOWS, 2.0 * GROUPS[None], 0.0, 1e-3, np.full((1, GROUPS.size), np.inf))
 PREDICTION = Prediction(
     Band(0.5, 1.0, 2.0), Band(0.01, 0.05, 0.1), Band(1.0, 1.1, 1.4), Band(2.5, 5.0, 12.0), 4.0, 64
 )

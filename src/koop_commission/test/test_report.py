@@ -54,7 +54,8 @@ PREDICTION = Prediction(
     400.0, 64,
 )  # fmt: skip
 WINDOWS = Windows(200, DT)
-AMPLITUDE = Amplitude(WINDOWS, np.eye(1, len(WINDOWS.edges) - 1, 3), 0.0, 0.01)  # of x at 2 Hz
+ONE = np.eye(1, len(WINDOWS.edges) - 1, 3)
+AMPLITUDE = Amplitude(WINDOWS, ONE, 0.0, 0.01, np.full(ONE.shape, np.inf))  # of x at 2 Hz
 PATH = LoopPath(
     -1.0, [1.0, 2.0],
     Curves([-1.0, 0.8], [-0.9, 0.9], [-0.8, 1.0]), Curves([3.0, 1.0], [3.5, 1.1], [4.0, 1.2]),

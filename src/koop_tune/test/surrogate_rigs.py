@@ -21,7 +21,8 @@ DT, FREQUENCY = 0.02, 2.0
 def make_amplitude(length=50, dt=DT, floor=1e-6):
     """Return the amplitude of one channel that sums all frequencies: 1 is a sine of amplitude 1."""
     windows = Windows(length, dt)
-    return Amplitude(windows, np.full((1, windows.frequency.size), 2.0), 0.0, floor)
+    weight = np.full((1, windows.frequency.size), 2.0)
+    return Amplitude(windows, weight, 0.0, floor, weight)
 
 
 def make_dwells(rests, logs, length=50, dt=DT, count=9):

@@ -112,6 +112,7 @@ def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
 
 def test_a_rig_is_damped_by_loops_that_are_near_the_best_and_stay_there(aim, good):
     assert find_faults(aim, [good, replace(good, theta=(0.69,))]) == []
+    assert find_faults(aim, [good, replace(good, new=0.5, new_at=3.3)]) == []  # hardly any
     near = replace(good, reduction=1.0)  # it began where it is good
     assert find_faults(aim, [good, near]) == []
 
@@ -126,6 +127,7 @@ def test_a_rig_is_damped_by_loops_that_are_near_the_best_and_stay_there(aim, goo
         ({"low": (0.3,)}, "theta swings from 0.3 to 0.8, the valley reaches from 0.4 to 1"),
         ({"high": (1.2,)}, "theta swings from 0.6 to 1.2"),
         ({"reduction": 0.5}, "worse than before by 2"),
+        ({"new": 1.3, "new_at": 3.3}, "moves at about 3.3 Hz as it never did .* 1.6.*, without 1"),
     ],
 )
 def test_each_of_what_damped_means_is_asked_of_every_loop(aim, good, change, message):
@@ -134,6 +136,13 @@ def test_each_of_what_damped_means_is_asked_of_every_loop(aim, good, change, mes
     for runs in ([good, bad], [bad, good]):
         (fault,) = find_faults(aim, runs)
         assert re.search(message, fault)
+
+
+def test_where_the_map_lacks_what_moves_theta_is_not_left_at_its_best(aim, good):
+    grown = replace(good, new=1.3, new_at=3.3)
+    assert "leave theta at theta_safe" in verdict(aim, [grown, good], [[-1.0], [3.0]], 3, "there")
+    weak = replace(good, amplitude=1.7)
+    assert "leave theta at 0.7, " in verdict(aim, [weak, good], [[-1.0], [3.0]], 3, "there")
 
 
 @pytest.mark.parametrize(("worse", "good"), [(1.0, True), (1.8, False), (None, False)])

@@ -1,6 +1,7 @@
 """The amplitude of what reacts to theta, against sines and noise that are known exactly."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -55,6 +56,25 @@ def test_the_power_of_a_sine_is_half_its_square_and_lies_at_its_frequency(freque
     # the lobe of a Blackman window is three bins to each side
     near = np.abs(WINDOWS.frequency - frequency) < 3.0 / WINDOWS.seconds + 0.07 * frequency
     assert powers[:, 0, near].sum(axis=1) == pytest.approx(powers[:, 0].sum(axis=1), rel=1e-3)
+
+
+def test_two_lines_that_beat_have_the_power_of_both_however_they_meet():
+    """One window apart they meet alike in each of some windows: those see the beat, not the sum."""
+    t = np.arange(12 * LENGTH) * DT
+    strong = 3.0 * np.sin(2 * np.pi * 5.0 * t)
+    for phase in np.linspace(0.0, 2 * np.pi, 9):
+        weak = np.sin(2 * np.pi * (5.0 + 1.01 / WINDOWS.seconds) * t + phase)
+        powers = WINDOWS.powers((strong + weak)[:, None]).sum(axis=(1, 2))
+        assert powers.mean() == pytest.approx(5.0, rel=0.05)
+
+
+def test_what_was_never_seen_and_is_not_summed_is_new():
+    rng = np.random.default_rng(9)
+    amplitude = choose_amplitude(WINDOWS, [hold(rng, [(2.0, a), (9.0, 5.0)]) for a in 0.2 + U])
+    assert amplitude.new(hold(rng, [(2.0, 1.2), (9.0, 8.0)])) == (0.0, WINDOWS.frequency[0])
+    part, frequency = amplitude.new(hold(rng, [(2.0, 0.1), (9.0, 5.0), (4.0, 0.6)]))
+    assert math.sqrt(part) == pytest.approx(0.5, rel=0.02)  # of the strongest, 1.2
+    assert frequency == pytest.approx(4.0, rel=0.06)
 
 
 def test_the_sum_over_the_groups_is_the_variance():

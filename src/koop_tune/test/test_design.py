@@ -262,7 +262,7 @@ def test_a_narrow_valley_that_is_seen_on_the_way_back_is_no_lag():
 
 def test_a_hold_that_only_looks_into_a_gap_need_not_be_as_sure():
     def looks(error_of_gap):
-        rig = Simulated(lambda u: 0.6 * wide(u), noise=0.2, seed=2)
+        rig = Simulated(lambda u: 0.6 * wide(u), noise=0.4, seed=2)
         design, _ = excite(rig, settings=replace(DESIGN, error_of_gap=error_of_gap))
         return np.mean([hold.size for hold in design.holds if hold.why == GAP])
 

@@ -26,6 +26,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
@@ -42,6 +43,10 @@ class AmplitudeSettings(Settings):
 
     change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
     errors: float = studied(4.0, "standard errors that are subtracted from it", low=0.0)
+    shifted: int = parameter(
+        4, "windows that begin in the length of one", low=1,
+        origin="so many of Blackman's, shifted, count all samples about alike",
+    )  # fmt: skip
     ratio: float = parameter(1.12, "width of a group of frequencies", low=1.01, high=2.0)
     single: int = parameter(16, "lowest bins that are groups of their own", low=1)
     lowest: int = parameter(2, "lowest bins that count for nothing", low=0)
@@ -103,6 +108,11 @@ class Windows(NamedTuple):
     def powers(self, x: Array) -> Array:
         """Return the power in each group of each whole window.
 
+        It is the mean of windows that are shifted by parts of their length (Welch, IEEE
+        Transactions on Audio and Electroacoustics 15 (1967) 70-73). Alone, each would see little
+        but its middle: two lines that are close beat, and consecutive windows would see the same
+        phase of that for a whole hold.
+
         Parameters
         ----------
         x : ndarray, shape (M, n)
@@ -113,13 +123,16 @@ class Windows(NamedTuple):
         ndarray, shape (W, n, G)
             In squared units of the channel; the sum over the groups is about the variance.
         """
-        count = x.shape[0] // self.length
-        parts = bridge_gaps(x[: count * self.length]).reshape(count, self.length, x.shape[1])
-        taper = np.blackman(self.length)[:, None]
-        spectrum = np.abs(np.fft.rfft(_detrended(parts) * taper, axis=1)) ** 2
+        count, shifted = x.shape[0] // self.length, AMPLITUDE.shifted
+        shifts = (np.arange(shifted) - 0.5 * (shifted - 1)) / shifted
+        starts = (self.length * (np.arange(count)[:, None] + shifts)).astype(int)
+        starts = np.clip(starts, 0, max(x.shape[0] - self.length, 0))
+        cut = sliding_window_view(bridge_gaps(x), self.length, axis=0)[starts.ravel()]
+        taper = np.blackman(self.length)
+        spectrum = np.abs(np.fft.rfft(_detrended(cut) * taper)) ** 2
         spectrum *= 2.0 / (self.length * float((taper**2).sum()))
-        groups = np.add.reduceat(spectrum, self.edges[:-1], axis=1)
-        return np.asarray(np.swapaxes(groups, 1, 2))
+        groups = np.add.reduceat(spectrum, self.edges[:-1], axis=2)
+        return np.asarray(groups.reshape(count, shifted, *groups.shape[1:]).mean(axis=1))
 
 
 @lru_cache
@@ -183,12 +196,15 @@ class Amplitude:
         Weighted sum of F.
     floor : float
         Least A that can be told.
+    seen : ndarray, shape (n, G)
+        Most power of each group in a hold; infinite where that is not known.
     """
 
     windows: Windows
     weight: Array
     background: float
     floor: float
+    seen: Array
 
     def squares(self, powers: Array) -> Array:
         """Return A^2 of windows, shape (W,), from their powers; below 0 where it is background."""
@@ -206,6 +222,18 @@ class Amplitude:
         hidden = self.floor**2
         left = math.exp(2.0 * least) - hidden
         return math.sqrt(max(math.exp(2.0 * log) - hidden, 0.0) / left) if left > 0.0 else math.inf
+
+    def new(self, powers: Array) -> tuple[float, float]:
+        """Return what windows, of powers (W, n, G), have of what is not summed and was never seen.
+
+        That is a mode that the holds were too short to let grow, or that they took for an
+        interference that comes and goes: its part of A^2 and its frequency [Hz].
+        """
+        mean = powers.mean(axis=0)
+        new = (self.weight == 0.0) & (mean > AMPLITUDE.falls * self.seen)
+        new[:, : AMPLITUDE.lowest] = False
+        parts = (self.weight.max(axis=1, keepdims=True) * mean * new).sum(axis=0)
+        return float(parts.sum()), float(self.windows.frequency[parts.argmax()])
 
     def logs(self, x: Array) -> Array:
         """Return log A of each whole window of samples, shape (M, n)."""
@@ -346,14 +374,15 @@ def choose_amplitude(
     weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()
     unseen = weight.max(axis=1) @ np.array(hidden or [0.0] * size.size)
     floor = math.sqrt(float((weight * unsure).sum() + unseen) + TINY)
-    return Amplitude(windows, weight, float((weight * background).sum()), floor)
+    seen = mean.max(axis=0)
+    return Amplitude(windows, weight, float((weight * background).sum()), floor, seen)
 
 
 def whole_amplitude(windows: Windows, x: Array) -> Amplitude:
     """Return the amplitude of everything, from samples, shape (M, n): what reacts is unknown."""
     variance = np.maximum(bridge_gaps(x).var(axis=0), 1e-300)
     weight = np.repeat(1.0 / variance[:, None], windows.frequency.size, axis=1) / variance.size
-    return Amplitude(windows, weight, 0.0, math.sqrt(TINY))
+    return Amplitude(windows, weight, 0.0, math.sqrt(TINY), np.full(weight.shape, math.inf))
 
 
 def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np.bool_]:
@@ -453,11 +482,10 @@ def bridge_gaps(x: Array) -> Array:
 
 
 def _detrended(x: Array) -> Array:
-    """Return windows, shape (W, length, n), less their straight line."""
-    t = np.linspace(-1.0, 1.0, x.shape[1])
-    centred = x - x.mean(axis=1, keepdims=True)
-    slope = np.einsum("t,wtn->wn", t, centred) / (t @ t)
-    return np.asarray(centred - t[:, None] * slope[:, None, :])
+    """Return windows, shape (W, n, length), less their straight line."""
+    t = np.linspace(-1.0, 1.0, x.shape[2])
+    centred = x - x.mean(axis=2, keepdims=True)
+    return np.asarray(centred - (centred @ t / (t @ t))[:, :, None] * t)
 
 
 def window_length(period: float, periods: float, dt: float) -> int:

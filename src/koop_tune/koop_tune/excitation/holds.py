@@ -88,8 +88,9 @@ class Hold:
             windows, powers = self._known
             if not whole or x.shape[0] != windows.length:
                 self._known = None
-            else:
-                self._known = windows, np.concatenate([powers, windows.powers(x)])
+            else:  # the last one reached as far as there were samples
+                last = windows.powers(self.x[-3 * windows.length :])[-2:]
+                self._known = windows, np.concatenate([powers[:-1], last])
 
     def steps(self) -> tuple[Array, Array]:
         """Return the step of each channel's sensor and its standard deviation, shapes (n,)."""

@@ -6,6 +6,7 @@ need to grow,
 
 - the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong,
   and of the best that an earlier round knew;
+- nothing that is not summed moves far more than in any hold of the excitation;
 - all of theta's swing lies in the valley of that map, or in what the loop itself showed to be as
   good where it went beyond;
 - and, from the worse start, the amplitude fell by more than its error explains.
@@ -153,6 +154,8 @@ class Measured:
         time; None if there were fewer than two.
     beyond_doubt : float
         Standard error of its logarithm.
+    new, new_at : float
+        Amplitude of what the excitation never showed, and its frequency [Hz].
     """
 
     time_to_converge: float | None
@@ -170,6 +173,8 @@ class Measured:
     modes: tuple[float, ...] = ()
     beyond: float | None = None
     beyond_doubt: float = 0.0
+    new: float = 0.0
+    new_at: float = 0.0
 
     @property
     def swing(self) -> tuple[float, ...]:
@@ -211,6 +216,7 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     best = [knob.scale.u(np.array(knob.theta)) for knob in aim.knobs]
     out = late[_is_beyond(aim, theta, squares.size)[half:]]
     beyond, error_beyond = mean_level(out, amplitude.floor) if out.size > 1 else (None, 0.0)
+    new, new_at = amplitude.new(powers[half:])
     return Measured(
         (int(inside[0]) + k) * aim.window if inside.size else None,
         max(float(np.abs(each - at).mean()) for each, at in zip(u, best, strict=True)),
@@ -226,6 +232,8 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
         modes=tuple(_find_worse(aim, mode, powers[half:]) for mode in aim.modes),
         beyond=None if beyond is None else math.exp(beyond),
         beyond_doubt=error_beyond,
+        new=math.sqrt(new),
+        new_at=new_at,
     )
 
 
@@ -291,7 +299,15 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     for run in runs:
         excess = most(run.amplitude, run.doubt)
         beyond = math.inf if run.beyond is None else most(run.beyond, run.beyond_doubt)
-        if math.isinf(excess):
+        if aim.sense > 0 and most(math.hypot(run.amplitude, run.new), run.doubt) > max(
+            good, excess
+        ):
+            faults.append(
+                f"near theta = {spell(run.theta)} the rig moves at about {run.new_at:.3g} Hz as it "
+                f"never did in the excitation: with it the amplitude is "
+                f"{math.hypot(run.amplitude, run.new):.3g}, without {run.amplitude:.3g}"
+            )
+        elif math.isinf(excess):
             faults.append(
                 f"near theta = {spell(run.theta)} background or sensor hides what is left: of an "
                 f"amplitude below {aim.amplitude.floor:.2g} nothing can be told"
@@ -320,6 +336,12 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         if math.log(run.reduction) < -aim.settings.errors * run.error - math.log(good):
             faults.append(f"the amplitude is worse than before by {1.0 / run.reduction:.3g}")
     return faults
+
+
+def _is_new(aim: Aim, run: Measured) -> bool:
+    """Return whether most of what moves is new, where little is wanted."""
+    whole = math.hypot(run.amplitude, run.new)
+    return aim.sense > 0 and whole > CONVERGENCE.good * max(run.amplitude, math.exp(aim.best))
 
 
 def _is_inside(knob: KnobAim, low: Array | float, high: Array | float) -> NDArray[np.bool_]:
@@ -357,10 +379,15 @@ def verdict(
     faults = find_faults(aim, runs)
     worse = [text for run in runs for text in find_disagreements(aim, run)]
     if faults:
+        advice = (
+            f"leave theta at {aim.theta}, the best of the map, or set theta_min and theta_max "
+            "closer around it and choose another --out"
+        )
+        if any(_is_new(aim, run) for run in runs):
+            advice = "the map lacks that: leave theta at theta_safe"
         last = (
-            f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; leave "
-            f"theta at {aim.theta}, the best of the map, or set theta_min and theta_max closer "
-            "around it and choose another --out"
+            f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; "
+            f"{advice}"
         )
     elif worse:
         last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
