@@ -1,5 +1,6 @@
 """What the recorder takes in compiled code, beside what rclpy takes of the same topic."""
 
+import ctypes
 import random
 import struct
 import time
@@ -14,7 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from koop_bag.bag.losses import LossCounter
-from koop_bag.mcap.chunk import CHANNEL, Batch
+from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
 from koop_bag.recorder.drain import AT_ONCE, HAS_STEP, MOST, ROOM, STEP, Drain, Rows
 from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, skip, subscribe
 from koop_node.node.managed import message_type
@@ -163,6 +164,35 @@ def test_large_messages_make_room_for_themselves_and_leave_it(node, rng):
     publisher.publish(sent[-1])
     take_with_drain(drain, [drained], 1)
     assert len(drain.data) == ROOM
+
+
+@ctypes.CFUNCTYPE(ctypes.c_int, *4 * [ctypes.c_void_p])
+def take_untimed(subscription, message, info, allocation):
+    """Take as rcl does, of a DDS that tells no time of reception, from a host an hour ahead."""
+    take_message = ctypes.CDLL("librcl.so").rcl_take_serialized_message
+    code = take_message(*map(ctypes.c_void_p, (subscription, message, info, allocation)))
+    sent_and_received = (ctypes.c_int64 * 2).from_address(info)
+    sent_and_received[0] += 3600 * 10**9
+    sent_and_received[1] = 0
+    return code
+
+
+def test_without_a_time_of_reception_messages_have_that_of_their_poll(node, messages):
+    names = ("/one", "/two")
+    topics = [RecordedTopic(node, name, LOOP["/state"], DEPTH, lambda topic: 1) for name in names]
+    publishers, drain = [publisher_to(node, name, 1) for name in names], Drain()
+    drain._functions = ctypes.cast(take_untimed, ctypes.c_void_p).value, drain._functions[1]
+    times = []
+    for k in range(30):
+        for publisher in publishers:
+            publisher.publish(messages.loop("/state", k))
+        wait_for(lambda: all(p.wait_for_all_acked() for p in publishers))
+        before = time.time_ns()
+        of_poll = fetch(drain, topics).table[:, LOG_TIME].tolist()
+        assert len(of_poll) == 2
+        assert all(before <= received <= time.time_ns() for received in of_poll)
+        times += of_poll
+    assert times == sorted(times)
 
 
 def rows_of(steps):

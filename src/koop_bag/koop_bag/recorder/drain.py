@@ -127,7 +127,7 @@ def _drain(
             message[1] = 0
             sent, received = info[0], info[1]
             if received == 0:  # not every DDS gives the time of reception
-                received = max(now, sent)
+                received = now
             step, has_step = _find_step(data, begin, size)
             if row == first:
                 ends[source, 1] = has_step and step >= 0
