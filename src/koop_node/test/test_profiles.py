@@ -1,13 +1,17 @@
 """The profiles of Fast DDS, and which of them a process gets."""
 
 import os
+import time
 import xml.etree.ElementTree as ET
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from std_msgs.msg import Empty
 
+from koop_node.client.client import Client
 from koop_node.node.dds_profile import PROFILE, TRANSPORTS, set_dds_profile
+from koop_node.node.qos import RELIABLE
 from koop_node.process.joining import FAST_DDS
 
 OWN = Path(str(files("koop_node")))
@@ -58,3 +62,19 @@ def test_who_asks_fast_dds_for_udp_is_sent_to_by_udp(monkeypatch, transports, ex
     monkeypatch.setenv(TRANSPORTS, transports)
     set_dds_profile()
     assert os.environ[PROFILE] == str(expected)
+
+
+@pytest.mark.ros
+def test_who_listens_late_in_the_process_of_a_writer_hears_its_next_message():
+    """As a node of a container that is activated when the loop has run for a while."""
+    with Client("nodes") as client:
+        publisher = client.node.create_publisher(Empty, "beat", RELIABLE)
+        for _ in range(5100):  # more than a reader of Fast DDS's default could wait for
+            publisher.publish(Empty())
+        heard = []
+        client.node.create_subscription(Empty, "beat", heard.append, RELIABLE)
+        client.wait_for(publisher.get_subscription_count, 60.0, "a subscriber")
+        begin = time.monotonic()
+        client.wait_for(lambda: time.monotonic() > begin + 1.0, 60.0, "the end of what they settle")
+        publisher.publish(Empty())
+        client.wait_for(lambda: heard, 10.0, "the message")
