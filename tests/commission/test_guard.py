@@ -277,6 +277,7 @@ def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe
 
     for rearmed in range(2):
         until(lambda: knob and knob[-1].data == 0.8, "the controller to be followed")
+        sources[0].publish(MeasuredState(step=2**64 - 1, x=[np.nan]))  # no run's, and unheard
         assert bool(resets) == bool(rearmed)  # twice where the cause came back meanwhile
         until(lambda: states[-1].status == GuardState.TRIPPED, "a trip", 5.0)
         assert states[-1].cause == "controller too old"

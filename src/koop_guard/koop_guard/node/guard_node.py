@@ -213,10 +213,14 @@ class GuardRun(Run):
         now = time.monotonic()
         step, x = self._adapter.convert(message)
         if self._counts_steps:
-            step, self._lockstep = message.step, message.lockstep
-        self._header, self._last = getattr(message, "header", None), (max(step, 0), now)
-        stamp = getattr(self._header, "stamp", None)
-        self._states.hear(step, _seconds(stamp), now, written)
+            step = message.step
+        header = getattr(message, "header", None)
+        stamp = getattr(header, "stamp", None)
+        if self._states.hear(step, _seconds(stamp), now, written) is Arrival.TOO_OLD:
+            return  # no run has such a step, and neither the twin nor the rig could be told of it
+        self._header, self._last = header, (max(step, 0), now)
+        if self._counts_steps:
+            self._lockstep = message.lockstep
         guard = self._guard
         guard.hear_state(x, now)
         if self._to_target:  # not before the rig receives
