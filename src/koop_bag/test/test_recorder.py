@@ -19,6 +19,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rcl_interfaces.msg import ParameterValue
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
@@ -380,6 +381,38 @@ def test_the_recording_around_a_trip_of_the_guard_is_kept_for_good(tmp_path):
     assert numbers[0] < 95
     assert 104 < numbers[-1] < 150
     assert [topic for topic, _ in actual].count(guard) == 3
+
+
+def test_damaged_messages_are_recorded_and_end_no_recording(tmp_path):
+    """A ring reads some of what it records, and every recorder what parameters change to."""
+    kinds = {
+        "/koop_guard/state": "koop_msgs/msg/GuardState",
+        "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+        "/state": LOOP["/state"],
+        "/parameter_events": "rcl_interfaces/msg/ParameterEvent",
+    }
+    sizes = 1, 3, 4, 13, 40
+    with Recorder(tmp_path / "run", "-p", "keep_size:=5.0") as recorder, Talker() as talker:
+        publishers = talker.publishers(kinds)
+        for size in sizes:
+            for publisher in publishers.values():
+                publisher.publish((b"\0\1\0\0" + b"\xff" * 40)[:size])
+        events = publishers["/parameter_events"]
+        gain = Parameter("gain", value=1.0).to_parameter_msg()
+        gain.value = ParameterValue(type=77)
+        for name in ("~no-such-user/x", 5000 * "x"):
+            model = Parameter("model", value=name).to_parameter_msg()
+            event = events.msg_type(node="/other", new_parameters=[gain, model])
+            event.changed_parameters = [model]
+            events.publish(event)
+        for topic in publishers:
+            recorder.wait_for(topic, len(sizes))
+        recorder.stop()
+        assert recorder.process.returncode == 0, recorder.output()
+    with BagReader(tmp_path / "run") as reader:
+        for topic in ("/koop_guard/state", "/state"):
+            assert reader.topic(topic).count == len(sizes)
+        assert "gain: null" in reader.custom_data()["parameters"]
 
 
 def test_trips_that_no_room_is_left_for_are_warned_of_once(tmp_path):

@@ -11,7 +11,6 @@ from typing import Any
 from koop_msgs.msg import GuardState
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import qos_profile_parameter_events
-from rclpy.serialization import deserialize_message
 
 from koop_bag.bag.losses import LossCounter, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
@@ -27,6 +26,7 @@ from koop_bag.recorder.summary import SummaryWriter
 from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled, skip
 from koop_core.errors import KoopError
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
+from koop_node.node.received import read_message
 from koop_node.process.housekeeping import release_compiler
 
 POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do not depend on it
@@ -225,9 +225,9 @@ class RecorderRun(Run):
         """Return whether a message says that a guard has tripped; it may say so again."""
         _, channel, _, data = row
         last_trip = self._trips.get(channel)
-        if last_trip is None:
+        state = None if last_trip is None else read_message(data, GuardState)
+        if state is None:
             return False
-        state = deserialize_message(data, GuardState)
         self._trips[channel] = state.tripped_at
         return state.status == GuardState.TRIPPED and state.tripped_at != last_trip
 

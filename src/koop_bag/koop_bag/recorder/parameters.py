@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Mapping
 from typing import Any
 
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
 
 from koop_node.client.question import Question
+from koop_node.node.received import read_value
 
 WAITED_FOR = "listeners"  # a parameter of the nodes, see koop_core.config.parameter
 
@@ -56,7 +55,7 @@ class ParameterCollector:
         if first:
             declared: Any = self._node.get_parameters_by_prefix("")  # Parameters of rclpy
             self.values[self._own] = {
-                name: _plain(item.value)
+                name: read_value(item.get_parameter_value())
                 for name, item in declared.items()
                 if name not in ("output", WAITED_FOR)
             }
@@ -88,7 +87,7 @@ class ParameterCollector:
         within = event.node.startswith(self._prefix) and "/_" not in event.node
         if within and event.node != self._own and event.new_parameters:
             announced = event.new_parameters
-            values = {p.name: _plain(parameter_value_to_python(p.value)) for p in announced}
+            values = {p.name: read_value(p.value) for p in announced}
             self._add(event.node, values)
             self._heard = True
 
@@ -127,14 +126,9 @@ class _Request:
             self._names = list(answer.result.names)
             self._question = Question(self._get, GetParameters.Request(names=self._names))
         else:
-            values = [_plain(parameter_value_to_python(value)) for value in answer.values]
+            values = list(map(read_value, answer.values))
             self.values = dict(zip(self._names, values, strict=False))
 
     def close(self) -> None:
         self._node.destroy_client(self._list)
         self._node.destroy_client(self._get)
-
-
-def _plain(value: Any) -> Any:
-    """Return a value that YAML can hold: a list for any array."""
-    return list(value) if isinstance(value, array | tuple) else value

@@ -106,12 +106,12 @@ def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str
     """
     kept: dict[str, str] = {}
     for values in nodes.values():
-        path = Path(str(values.get("model") or "")).expanduser()
-        if not values.get("model") or not path.is_file():
-            continue
         try:
+            path = Path(str(values.get("model") or "")).expanduser()
+            if not path.is_file():
+                continue
             content = path.read_bytes()
-        except OSError:
+        except (OSError, RuntimeError):  # too long a name, a user whom there is not
             continue
         digest = hashlib.sha256(content).hexdigest()
         target = folder / "model" / path.name

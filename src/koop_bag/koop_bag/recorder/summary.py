@@ -9,7 +9,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from koop_msgs.msg import LoopSummary
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
 from koop_bag.bag.summary import SECOND, LoopSecond, Seconds
@@ -17,6 +17,7 @@ from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
 from koop_bag.mcap.chunk import Row
 from koop_bag.recorder.topics import RecordedTopic
+from koop_node.node.received import read_message
 
 NAME = "summary"
 """Folder beside `bag`, and topic of a loop's seconds."""
@@ -24,11 +25,17 @@ OPTIONS = WriterOptions(chunk_seconds=10.0, split_bytes=10_000_000)
 """A file is about a day. A kill takes ten seconds, which the ring still has; written one by one,
 the seconds of a year would take 10 GB in place of 3.5.
 """
+
+
+def read_levels(data: bytes) -> dict[str, bytes]:
+    """Return the level of each node that a DiagnosticArray reports; of a damaged one, nothing."""
+    reports = read_message(data, DiagnosticArray)
+    return {} if reports is None else {status.name: status.level for status in reports.status}
+
+
 KEPT: dict[str, Any] = {
     "koop_msgs/msg/GuardState": lambda data: {"": data},
-    "diagnostic_msgs/msg/DiagnosticArray": lambda data: {
-        status.name: status.level for status in deserialize_message(data, DiagnosticArray).status
-    },
+    "diagnostic_msgs/msg/DiagnosticArray": read_levels,
 }
 """Types of which a message is kept where one of these values is another than before."""
 
