@@ -47,6 +47,14 @@ def test_what_is_kept_is_recalled_to_the_bit_where_the_rig_followed(memory, tmp_
     ]
 
 
+def test_what_no_controller_says_is_not_kept(memory):
+    for text in ("", "[", "[" * 100_000, "null"):
+        said = progress(BEGIN)
+        said.values["relay_esc"]["begin"] = text
+        memory().keep(said)
+        assert memory().recall() == ({}, "")
+
+
 def test_what_was_set_while_the_loop_ran_outlives_two_restarts(memory):
     first = {"relay_esc": {"dwell": 0.5, "theta_max": 2.0, "listeners": "x"}, "other": {"a": 1}}
     memory().keep(progress(BEGIN, **first))

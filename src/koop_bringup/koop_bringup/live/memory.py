@@ -81,7 +81,10 @@ class Memory:
 
     def keep(self, progress: Progress) -> None:
         """Write what the controller said last, if it is time and the rig follows it."""
-        begin = progress.values.get("relay_esc", {}).get("begin", "")
+        try:
+            begin = json.loads(progress.values.get("relay_esc", {}).get("begin", "null"))
+        except (ValueError, RecursionError):  # another program says so
+            return
         follows = progress.values.get("koop_guard", {}).get("status") == "following"
         due = time.monotonic() > self._time + PERIOD
         if self._path is None or not (follows and due and begin):
@@ -91,7 +94,7 @@ class Memory:
             | {k: v for k, v in progress.changed.get(node, {}).items() if k in SET[node]}
             for node in CONFIGS
         }
-        content = {"of": self._of, "changed": changed, "begin": json.loads(begin)}
+        content = {"of": self._of, "changed": changed, "begin": begin}
         if content == self._written:
             return
         self._written, self._time = content, time.monotonic()

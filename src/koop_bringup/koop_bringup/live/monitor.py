@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 from koop_core.config.knobs import read_knobs
 from koop_core.stream.report import LEVELS
+from koop_loop.parameters import EXECUTABLES
 from koop_node.client.client import Client
 
 
@@ -71,33 +73,38 @@ class Monitor(Client):
         return read_knobs(self.progress.values.get("relay_esc", {}).get("theta", "nan"))
 
     def _on_change(self, event: Any) -> None:
-        from rclpy.parameter import parameter_value_to_python
+        from koop_node.node.received import read_value
 
         namespace, _, node = event.node.rpartition("/")
         if self._namespace in (None, namespace):
-            values = {p.name: parameter_value_to_python(p.value) for p in event.changed_parameters}
+            values = {p.name: read_value(p.value) for p in event.changed_parameters}
             self.progress.changed.setdefault(node, {}).update(values)
 
     def _on_message(self, message: Any) -> None:
         for status in message.status:
             namespace, _, node = status.name.split(":")[0].rpartition("/")
-            if self._namespace not in (None, namespace):
-                continue
-            values = {item.key: item.value for item in status.values}
-            progress = self.progress
-            progress.values[node] = values
-            progress.levels[node] = level = status.level[0]
-            progress.heard[node] = time.monotonic()
-            progress.findings.pop(node, None)
-            if level:
-                progress.findings[node] = f"{node} {LEVELS[level]}: {status.message}"
-            if node == "koopman_lifter":
-                progress.r = float(values.get("r", progress.r))
-            plant = "vdp_plant" in progress.values
-            if node == ("vdp_plant" if plant else "koopman_lifter"):
-                progress.step = int(values.get("step", progress.step))
-                progress.steps_per_second = float(values["rate_hz"])
-            if node == ("vdp_plant" if plant else "relay_esc"):
-                progress.theta = (
-                    read_knobs(values["theta"]) if "theta" in values else progress.theta
-                )
+            if self._namespace in (None, namespace):
+                with suppress(ValueError, IndexError):  # no node of ours reports such figures
+                    self._take(node, status)
+
+    def _take(self, node: str, status: Any) -> None:
+        values = {item.key: item.value for item in status.values}
+        progress, level = self.progress, status.level[0]
+        finding = f"{node} {LEVELS[level]}: {status.message}"
+        figures = values if node in EXECUTABLES else {}
+        r, step = float(figures.get("r", progress.r)), int(figures.get("step", progress.step))
+        rate = float(figures.get("rate_hz", math.nan))
+        theta = read_knobs(figures["theta"]) if "theta" in figures else progress.theta
+        progress.values[node] = values
+        progress.levels[node] = level
+        progress.heard[node] = time.monotonic()
+        progress.findings.pop(node, None)
+        if level:
+            progress.findings[node] = finding
+        if node == "koopman_lifter":
+            progress.r = r
+        plant = "vdp_plant" in progress.values
+        if node == ("vdp_plant" if plant else "koopman_lifter"):
+            progress.step, progress.steps_per_second = step, rate
+        if node == ("vdp_plant" if plant else "relay_esc"):
+            progress.theta = theta

@@ -9,7 +9,6 @@ from importlib import import_module
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
 
 from koop_bag.cdr.definition import parse_definition
@@ -17,6 +16,7 @@ from koop_bag.cdr.schema import load_service
 from koop_bag.errors import BagError
 from koop_core.cdr import CdrError, check_message
 from koop_node.client.question import Question
+from koop_node.node.received import read_value
 from koop_view.protocol import AdvertisedService
 from koop_view.session import Refused
 
@@ -114,7 +114,7 @@ async def _until(condition: Callable[[], Any], deadline: float, otherwise: str) 
 def describe(message: Any) -> str:
     """Return a request or an answer in a few words."""
     if hasattr(message, "parameters"):
-        pairs = [(p.name, parameter_value_to_python(p.value)) for p in message.parameters]
+        pairs = [(p.name, read_value(p.value)) for p in message.parameters]
         return ", ".join(f"{name}={value}" for name, value in pairs)
     if hasattr(message, "result"):
         return "done" if message.result.successful else f"refused: {message.result.reason}"

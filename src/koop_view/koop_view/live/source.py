@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -13,10 +12,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy as Durability
 from rclpy.qos import ReliabilityPolicy as Reliability
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.cdr.schema import load_schema
@@ -24,6 +22,7 @@ from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import subscribe
 from koop_core.errors import KoopError, one_line
 from koop_node.node.managed import message_type
+from koop_node.node.received import read_message, read_value
 from koop_view import protocol
 from koop_view.config import ViewConfig
 from koop_view.live.services import OFFERED, ServiceCaller, describe, load, unpack
@@ -130,7 +129,8 @@ class LiveSource(ViewSource):
     def _hear(self, reports: list[bytes], now: float) -> None:
         """Ask a node that reports after a pause for its parameters: it may be a new process."""
         for data in reports:
-            for status in deserialize_message(data, DiagnosticArray).status:
+            report = read_message(data, DiagnosticArray)
+            for status in report.status if report is not None else ():
                 if now - self._reported.get(status.name, now) > PAUSE:
                     self._collector.values.pop(status.name, None)
                 self._reported[status.name] = now
@@ -242,13 +242,12 @@ class LiveSource(ViewSource):
 
     def _take_changes(self, events: list[bytes]) -> None:
         for data in events:
-            event = deserialize_message(data, ParameterEvent)
-            values = self._collector.values.get(event.node)
+            event = read_message(data, ParameterEvent)
+            values = None if event is None else self._collector.values.get(event.node)
             if values is None:
                 continue
             for item in (*event.new_parameters, *event.changed_parameters):
-                value = parameter_value_to_python(item.value)
-                values[item.name] = list(value) if isinstance(value, array | tuple) else value
+                values[item.name] = read_value(item.value)
             self._keep(event.node)
 
     async def call(self, service: AdvertisedService, payload: bytes, peer: str) -> bytes:
