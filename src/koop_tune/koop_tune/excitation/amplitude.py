@@ -69,6 +69,7 @@ class AmplitudeSettings(Settings):
     line: float = studied(
         0.5, "power of a quiet group over one within the lobe that is left out", low=0.0
     )
+    harmonics: tuple[int, ...] = judged((2, 3), "multiples of a frequency that a rig makes of it")
     same: float = judged(0.005, "distance of two holds at one place, in ranges", low=0.0)
     pairs: int = judged(3, "of such holds before they tell what comes and goes", low=1)
     comes: float = judged(
@@ -361,6 +362,7 @@ def choose_amplitude(
             power = mean[stays, c, g]
             background[c, g] = min(float(power.mean()), most[c, g])
             unsure[c, g] = float(power.std()) / math.sqrt(power.size - 1)
+    unsure = np.maximum(unsure, _find_beating(windows, mean, error, reacts))
     motion = np.maximum(mean - background, 0.0)
     size = (motion * reacts).sum(axis=2).max(axis=0)
     hides = (background * reacts).sum(axis=1)
@@ -407,6 +409,31 @@ def _is_beside_line(mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]
     quiet = np.where(reacts, 0.0, mean.min(axis=0))
     strongest = maximum_filter1d(quiet, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
     return np.asarray(reacts & (strongest > AMPLITUDE.line * mean.max(axis=0)))
+
+
+def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[np.bool_]) -> Array:
+    """Return the power that may be a line beside a harmonic, shape (n, G): it beats with that.
+
+    A harmonic falls with its fundamental. What is about twice or three times as fast and is
+    stronger where the fundamental is least than at another hold may be a mode of its own; or a line
+    that theta does not change, alone where the harmonic is gone, and less where it met that out of
+    phase. The holds are too short to tell.
+    """
+    edges = np.array(windows.edges)
+    first, last, level = edges[:-1], edges[1:] - 1, np.log(mean)
+    strongest = (mean * reacts).max(axis=0)
+    peak = strongest >= maximum_filter1d(strongest, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
+    result = np.zeros(reacts.shape)
+    for c, g in zip(*np.nonzero(reacts & peak), strict=True):
+        least = int(level[:, c, g].argmin())
+        rise, errors = level[:, c] - level[least, c], np.hypot(error[:, c], error[least, c])
+        falls = rise[:, g] - errors[:, g] > math.log(AMPLITUDE.falls)
+        stronger = (falls[:, None] & (-rise - errors > AMPLITUDE.change)).any(axis=0)
+        for k in AMPLITUDE.harmonics:
+            beside = (first <= k * (last[g] + 0.5)) & (last >= k * (first[g] - 0.5))
+            beats = stronger & beside & reacts[c]  # then in every channel
+            result = np.maximum(result, mean[least] * (reacts & beats))
+    return result
 
 
 def _change(mean: Array, doubt: Array) -> Array:
