@@ -122,7 +122,8 @@ def test_an_optimum_beyond_a_line_between_knobs_is_sought_on_the_line():
 
 
 def test_a_knob_without_effect_is_left_at_its_start():
-    design, moves = run(KnobsDesign(KNOBS), SimulatedKnobs(lambda u: 3.0 * (u[1] - 0.4) ** 2, seed=1))
+    rig = SimulatedKnobs(lambda u: 3.0 * (u[1] - 0.4) ** 2, seed=1)
+    design, moves = run(KnobsDesign(KNOBS), rig)
     assert design.ended == KNOWN
     assert list(design.sections) == [1]
     assert design.base[0] == pytest.approx(START[0])
