@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
 from koop_core.config.fields import parse_source
+from koop_guard.guard import Cause
 from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
@@ -27,6 +29,11 @@ LOOP = {
     "/state": "koop_msgs/msg/MeasuredState",
     "/cost": "koop_msgs/msg/Cost",
     "/theta": "koop_msgs/msg/ControlInput",
+}
+GUARD = "/koop_guard/state"
+LOOP_AND_RIG = LOOP | {
+    "/rig/theta": "std_msgs/msg/Float64",
+    GUARD: "koop_msgs/msg/GuardState",
 }
 RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 
@@ -55,24 +62,54 @@ def test_the_metrics_are_those_of_the_recorded_theta(capsys):
     assert result["lost"] == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
 
 
-def test_a_limit_of_the_controller_counts_only_while_the_guard_follows_it(tmp_path):
-    whole = read_loop(RUN / "bag")
-    tripped = round(np.median(np.flatnonzero(whole.saturated)))
-    with BagReader(RUN / "bag") as reader, BagWriter(tmp_path / "bag") as writer:
-        number = {topic: writer.add_topic(topic, load_schema(kind)) for topic, kind in LOOP.items()}
-        number["/rig/theta"] = writer.add_topic("/rig/theta", load_schema("std_msgs/msg/Float64"))
-        answers = enumerate(whole.theta)
+def guard_state(cause):
+    """Return a GuardState, serialized by rosbags."""
+    kind, store = LOOP_AND_RIG[GUARD], get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(load_schema(kind).text.split("=" * 80)[0], kind))
+    types, none = store.types, np.empty(0)
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+    state = types[kind](header, 2, none, cause, "", 0.0, none, none, "", 0)
+    return bytes(store.serialize_cdr(state, kind))
+
+
+def read_guarded(path, told, causes):
+    """Write the golden run with a command, told(k, theta), and causes of a guard; read it."""
+    with BagReader(RUN / "bag") as reader, BagWriter(path) as writer:
+        number = {name: writer.add_topic(name, load_schema(k)) for name, k in LOOP_AND_RIG.items()}
+        answers = enumerate(read_loop(RUN / "bag").theta)
         for message in (m for m in reader.messages() if m.topic in LOOP):
             writer.write(number[message.topic], message.log_time, 0, message.data)
             if message.topic == "/theta":
                 k, theta = next(answers)
-                told = struct.pack("<Id", 256, theta if k < tripped else 0.5)  # 0.5: theta_safe
-                writer.write(number["/rig/theta"], message.log_time, 0, told)
-    guarded = read_loop(tmp_path / "bag", "/", [parse_source("/rig/theta:data")])
+                command = struct.pack("<Id", 256, told(k, theta))
+                writer.write(number["/rig/theta"], message.log_time, 0, command)
+                if k in causes:
+                    data = guard_state(causes[k])
+                    writer.write(number[GUARD], message.log_time, 0, data)
+    return read_loop(path, "/", [parse_source("/rig/theta:data")])
+
+
+def test_a_limit_of_the_controller_counts_only_while_the_guard_follows_it(tmp_path):
+    whole = read_loop(RUN / "bag")
+    tripped = round(np.median(np.flatnonzero(whole.saturated)))
+    told = lambda k, theta: theta if k < tripped else 0.5  # noqa: E731 - 0.5: theta_safe
+    guarded = read_guarded(tmp_path / "bag", told, {tripped: Cause.BEYOND.value})
+    assert np.isfinite(guarded.theta[1:]).all()  # nothing was commanded before the first state
     at_limit = np.flatnonzero(guarded.saturated)
     assert at_limit.size > 10
     assert guarded.theta[at_limit] == pytest.approx(-5.0)  # the last step to it rounds
     assert at_limit.max() <= tripped < np.flatnonzero(whole.saturated).max() - 10
+
+
+def test_the_way_to_theta_safe_at_the_end_is_not_the_loops(tmp_path):
+    whole = read_loop(RUN / "bag").theta.ravel()
+    end = whole.size - 200
+    causes = {end: Cause.ENDED.value, end + 50: Cause.ENDED.value}
+    told = lambda k, theta: theta if k < end else 0.5  # noqa: E731
+    guarded = read_guarded(tmp_path / "bag", told, causes)
+    known = np.flatnonzero(np.isfinite(guarded.theta))
+    assert abs(known.size - end) <= 2
+    assert guarded.theta[known].ravel() == pytest.approx(whole[known - 1])  # told before the state
 
 
 def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, capsys):

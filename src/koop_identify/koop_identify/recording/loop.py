@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_core.config.fields import MAX_FIELDS, Source
 from koop_core.errors import InputError
+from koop_guard.guard import Cause
 from koop_identify.recording.loaded import theta_at
 from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages, of_knobs
 
@@ -108,7 +110,8 @@ class LoopRecord:
 def read_loop(bag: Path, namespace: str = "/", commands: Sequence[Source] = ()) -> LoopRecord:
     """Read the loop's four topics from a bag; only the states must be there.
 
-    With commands that the bag has, theta is what the rig was told when a state was received.
+    With commands that the bag has, theta is what the rig was told when a state was received; the
+    guard's way to theta_safe at the end is not the loop's.
 
     Raises
     ------
@@ -133,8 +136,21 @@ def read_loop(bag: Path, namespace: str = "/", commands: Sequence[Source] = ()) 
             if topic in present:
                 columns[name] = _columns(reader, topic, [*names, "log_time"])
         if commands and {c.topic for c in commands} <= {*present} - {f"{base}/theta"}:
-            columns["state"]["commanded"] = theta_at(reader, f"{base}/state", commands)
+            theta = theta_at(reader, f"{base}/state", commands)
+            theta[columns["state"]["log_time"] > _ended(reader, f"{base}/koop_guard/state")] = (
+                np.nan
+            )
+            columns["state"]["commanded"] = theta
     return _align(columns, inactive)
+
+
+def _ended(bag: BagReader, topic: str) -> float:
+    """Return when a guard was told that the loop ends [ns]; infinite if it was not."""
+    if not any(each.name == topic and each.count for each in bag.topics):
+        return math.inf
+    states = read_columns(bag, topic, ["cause", "log_time"])
+    ends = states["log_time"][states["cause"] == Cause.ENDED.value]
+    return int(ends.min()) if ends.size else math.inf
 
 
 def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
