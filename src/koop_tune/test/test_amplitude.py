@@ -77,13 +77,18 @@ def test_what_was_never_seen_and_is_not_summed_is_new():
     assert frequency == pytest.approx(4.0, rel=0.06)
 
 
-@pytest.mark.parametrize(("line", "beside"), [(1.0, 4.0), (0.0, 4.0), (1.0, 7.4)])
-def test_of_a_line_that_beats_with_a_harmonic_it_is_not_known_what_the_rig_makes(line, beside):
+@pytest.mark.parametrize("other", ["line", "line elsewhere", "none", "mode"])
+def test_of_a_line_that_beats_with_a_harmonic_it_is_not_known_what_the_rig_makes(other):
     """It has another phase in every hold, so that the group is stronger where theta is best."""
     rng, sizes = np.random.default_rng(12), np.array([0.1, 0.4, 0.8, 1.2, 1.4, 1.5, 0.6, 0.2])
-    holds = [hold(rng, [(2.0, a), (4.0, 0.4 * a**2), (beside, line)]) for a in sizes]
+    at, size = 7.4 if "elsewhere" in other else 4.0, 0.0 if other == "none" else 1.0
+    second = [1.6 - a if other == "mode" else 0.4 * a**2 for a in sizes]
+    size *= other != "mode"
+    holds = [
+        hold(rng, [(2.0, a), (4.0, b), (at, size)]) for a, b in zip(sizes, second, strict=True)
+    ]
     amplitude = choose_amplitude(WINDOWS, holds)
-    beats = line > 0.0 and beside == 4.0
+    beats = other == "line"
     assert weighs_at(amplitude, 0, 4.0)
     assert (amplitude.floor > 0.9 * levels(amplitude, holds)[0]) == beats
     assert (amplitude.floor < 0.05) != beats

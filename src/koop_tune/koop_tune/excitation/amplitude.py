@@ -415,9 +415,9 @@ def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[n
     """Return the power that may be a line beside a harmonic, shape (n, G): it beats with that.
 
     A harmonic falls with its fundamental. What is about twice or three times as fast and is
-    stronger where the fundamental is least than at another hold may be a mode of its own; or a line
+    stronger where the fundamental is least than at another hold, but never far less, may be a line
     that theta does not change, alone where the harmonic is gone, and less where it met that out of
-    phase. The holds are too short to tell.
+    phase. A mode of its own that becomes worse is far less elsewhere.
     """
     edges = np.array(windows.edges)
     first, last, level = edges[:-1], edges[1:] - 1, np.log(mean)
@@ -429,6 +429,7 @@ def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[n
         rise, errors = level[:, c] - level[least, c], np.hypot(error[:, c], error[least, c])
         falls = rise[:, g] - errors[:, g] > math.log(AMPLITUDE.falls)
         stronger = (falls[:, None] & (-rise - errors > AMPLITUDE.change)).any(axis=0)
+        stronger &= rise.min(axis=0) > -math.log(AMPLITUDE.falls)
         for k in AMPLITUDE.harmonics:
             beside = (first <= k * (last[g] + 0.5)) & (last >= k * (first[g] - 0.5))
             beats = stronger & beside & reacts[c]  # then in every channel
