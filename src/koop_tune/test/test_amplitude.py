@@ -81,9 +81,8 @@ def test_what_was_never_seen_and_is_not_summed_is_new():
 def test_of_a_line_that_beats_with_a_harmonic_it_is_not_known_what_the_rig_makes(other):
     """It has another phase in every hold, so that the group is stronger where theta is best."""
     rng, sizes = np.random.default_rng(12), np.array([0.1, 0.4, 0.8, 1.2, 1.4, 1.5, 0.6, 0.2])
-    at, size = 7.4 if "elsewhere" in other else 4.0, 0.0 if other == "none" else 1.0
+    at, size = 7.4 if "elsewhere" in other else 4.0, 1.0 if "line" in other else 0.0
     second = [1.6 - a if other == "mode" else 0.4 * a**2 for a in sizes]
-    size *= other != "mode"
     holds = [
         hold(rng, [(2.0, a), (4.0, b), (at, size)]) for a, b in zip(sizes, second, strict=True)
     ]
