@@ -81,11 +81,11 @@ class GuardedTheta:
     @property
     def value(self) -> tuple[float, ...]:
         """The last command to the rig, of each knob."""
-        from rclpy.serialization import deserialize_message
+        from koop_node.node.received import read_message
 
-        if not all(self._commands):
+        messages = list(map(read_message, self._commands, self._kinds))
+        if None in messages:  # not yet told, or not by the guard
             return self._before
-        messages = map(deserialize_message, self._commands, self._kinds)
         told = zip(self._rig.commands, messages, strict=True)
         return tuple(read_field(path, message) for of, message in told for path in of.fields)
 
