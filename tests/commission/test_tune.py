@@ -101,7 +101,7 @@ def test_an_optimum_in_doubt_is_tuned_for_and_said():
     rig = rig_of(3, **{**QUICK, "optimum": (0.85, 0.85)}, clean=1.0, noise_driven=0.0,
                  maps={"one-sided": 1.0}, quiet=0.0)  # fmt: skip
     loaded, file, training = recorded(rig)
-    noisy = loaded.x + np.random.default_rng(0).normal(0.0, 2.0 * loaded.x.std(), loaded.x.shape)
+    noisy = loaded.x + np.random.default_rng(0).normal(0.0, 3.5 * loaded.x.std(), loaded.x.shape)
     findings = analyse(replace(loaded, x=noisy), file, training)
     assert "towards theta_min is not certain" in findings.doubt
     assert any(judged.usable for judged in findings.costs)
