@@ -127,6 +127,7 @@ def test_a_rig_is_damped_by_loops_that_are_near_the_best_and_stay_there(aim, goo
         ({"low": (0.3,)}, "theta swings from 0.3 to 0.8, the valley reaches from 0.4 to 1"),
         ({"high": (1.2,)}, "theta swings from 0.6 to 1.2"),
         ({"reduction": 0.5}, "worse than before by 2"),
+        ({"amplitude": 1.7, "new": 0.1, "new_at": 3.3}, "near theta = 0.7 the amplitude"),
         ({"new": 1.3, "new_at": 3.3}, "moves at about 3.3 Hz as it never did .* 1.6.*, without 1"),
     ],
 )

@@ -297,15 +297,14 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         return aim.amplitude.most(*((worse, final) if aim.sense > 0 else (-final, worse)))
 
     for run in runs:
-        excess = most(run.amplitude, run.doubt)
+        whole = _whole(aim, run)
+        excess = most(whole, run.doubt)
         beyond = math.inf if run.beyond is None else most(run.beyond, run.beyond_doubt)
-        if aim.sense > 0 and most(math.hypot(run.amplitude, run.new), run.doubt) > max(
-            good, excess
-        ):
+        if _is_new(aim, run):
             faults.append(
                 f"near theta = {spell(run.theta)} the rig moves at about {run.new_at:.3g} Hz as it "
-                f"never did in the excitation: with it the amplitude is "
-                f"{math.hypot(run.amplitude, run.new):.3g}, without {run.amplitude:.3g}"
+                f"never did in the excitation: with it the amplitude is {whole:.3g}, without "
+                f"{run.amplitude:.3g}"
             )
         elif math.isinf(excess):
             faults.append(
@@ -338,10 +337,14 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     return faults
 
 
+def _whole(aim: Aim, run: Measured) -> float:
+    """Return the amplitude with what is new, where little is wanted."""
+    return math.hypot(run.amplitude, run.new) if aim.sense > 0 else run.amplitude
+
+
 def _is_new(aim: Aim, run: Measured) -> bool:
-    """Return whether most of what moves is new, where little is wanted."""
-    whole = math.hypot(run.amplitude, run.new)
-    return aim.sense > 0 and whole > CONVERGENCE.good * max(run.amplitude, math.exp(aim.best))
+    """Return whether most of what moves is new."""
+    return _whole(aim, run) > CONVERGENCE.good * max(run.amplitude, math.exp(aim.best))
 
 
 def _is_inside(knob: KnobAim, low: Array | float, high: Array | float) -> NDArray[np.bool_]:
