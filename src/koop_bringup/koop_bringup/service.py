@@ -118,7 +118,7 @@ def describe_unit(
     Raises
     ------
     koop_core.config.parameter.ConfigError
-        If it was not started by ``./koop``.
+        If it was not started by ``./koop``, or the folder of the guard's note does not exist.
     """
     if not (root := os.environ.get("KOOP_ROOT")):
         raise ConfigError("--install: call it as './koop up', which the service will do, too")
@@ -128,6 +128,11 @@ def describe_unit(
     folders = [Path("recordings"), Path(root, "src"), Path(root, "ros2_ws/install")]
     if note := planned.parameters.get("koop_guard", {}).get("note"):
         folders.append(Path(note).parent)
+        if not folders[-1].is_dir():  # systemd would not start the unit, and not say why
+            raise ConfigError(
+                f"--install: no folder {folders[-1]}, where koop_guard.note of {file} lies: "
+                "make it, or call 'koop tune' where the rig file is now"
+            )
     privileges = OF_SYSTEM if system else ""
     if system and not planned.program:  # whose devices nobody here knows
         privileges += "\nPrivateDevices=yes"

@@ -90,6 +90,16 @@ def test_the_unit_starts_the_loop_as_it_was_described(install, tmp_path, user):
         assert [line for line in complaints if not re.search(new, line)] == []
 
 
+def test_what_the_service_writes_is_there_and_its_users(install, tmp_path, monkeypatch, capsys):
+    owners = []
+    monkeypatch.setattr(shutil, "chown", lambda *args: owners.append(args))
+    install(SYSTEM)
+    assert owners == [(Path("recordings"), os.stat(tmp_path).st_uid, os.stat(tmp_path).st_gid)]
+    (tmp_path / "rigs").rmdir()
+    assert main(["up", "100 % mine", "--install"]) == 2
+    assert f"no folder {tmp_path}/rigs" in capsys.readouterr().err
+
+
 def test_a_service_has_no_folder_for_all_of_its_runs(install, tmp_path, capsys):
     install(USER)
     assert main(["up", "100 % mine", "--install", "--out", "run"]) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -111,7 +112,10 @@ def install(args: argparse.Namespace, planned: Plan) -> int:
     options = ["--composed"] * args.composed
     options += [f"--{key}={value}" for key, value in values.items() if value is not None]
     text = describe_unit(name, args.file, options, planned, system)
-    Path("recordings").mkdir(exist_ok=True)
+    if not (recordings := Path("recordings")).is_dir():
+        recordings.mkdir()
+        if system:  # the service runs as the owner of the file
+            shutil.chown(recordings, args.file.stat().st_uid, args.file.stat().st_gid)
     unit = unit_folder(system) / name
     unit.parent.mkdir(parents=True, exist_ok=True)
     unit.write_text(text)
