@@ -634,6 +634,7 @@ def test_service_manager_any_terminal_and_the_page_are_told_how_the_loop_is(
     code, text = asked("run")
     assert (code, "recorder has ended" in text) == (1, True)
     assert "tripped: ~/trip was called" in text
+    wait(lambda: "rearm it by ~/rearm" in asked("run")[1], "theta_safe", process, LONG)
     code, text = asked("loop.yaml", "--stop")
     assert (code, "ended: theta is left at 1; theta_safe = 1" in text) == (0, True)
     assert fast_rig.theta == SAFE

@@ -85,12 +85,13 @@ def describe_loop(
     if guard is not None:
         rig += f", command {guard['command']}"
     of_guard = progress.values.get("koop_guard", {}).get("theta")
-    theta = read_knobs(of_guard) if of_guard else progress.theta
+    theta = format_knobs(read_knobs(of_guard) if of_guard else progress.theta)
     size = sum(file.stat().st_size for file in (folder / "bag").glob("*"))
     return "\n".join(
         [
             "  " + ("not healthy: " + "; ".join(faults) if faults else "healthy"),
-            f"  theta = {format_knobs(theta)}" + f", guard {status}" * (guard is not None),
+            ("  theta is not commanded yet" if status == "waiting" else f"  theta = {theta}")
+            + f", guard {status}" * (guard is not None),
             f"  rig: {rig}",
             f"  run: {folder.resolve()}, "
             + (f"recording, {size / 1e6:.1f} MB" if recorded else "not recording"),

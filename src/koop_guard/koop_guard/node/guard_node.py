@@ -202,7 +202,9 @@ class GuardRun(Run):
         if trip is not None:
             values |= {"cause": trip.cause.value, "reason": trip.reason, "tripped_x": list(trip.x)}
         if guard.status is Status.TRIPPED and trip is not None:
-            return ERROR, f"tripped: {trip.reason}", values
+            refusal = guard.refusal(time.monotonic())
+            remedy = f"no rearm: {refusal}" if refusal else "rearm it by ~/rearm, or on the page"
+            return ERROR, f"tripped: {trip.reason}; {remedy}", values
         if guard.status is Status.WAITING:
             return WARN, "nothing is commanded: the controller has not answered yet", values
         if twin is not None and not twin.shared.ready:
