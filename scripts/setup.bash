@@ -306,7 +306,8 @@ build() (
   # setuptools warns about the very commands that colcon drives it with.
   export PYTHONWARNINGS=ignore
   # Without this, colcon lets a machine that is busy build one file at a time.
-  export MAKEFLAGS=-j$(nproc)
+  MAKEFLAGS=-j$(nproc)
+  export MAKEFLAGS
   python "$ROOT/scripts/build.py" build --symlink-install --packages-select "$@" --event-handlers console_cohesion+ \
     --cmake-args -G Ninja -DBUILD_TESTING=OFF "-DPython3_EXECUTABLE=$VENV/bin/python"
 )

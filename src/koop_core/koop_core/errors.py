@@ -8,10 +8,10 @@ _LONGEST = 800  # characters of an error
 
 
 def one_line(text: str) -> str:
-    """Return a text as one line that can be printed, whatever it quotes; too long ones are cut.
+    r"""Return a text as one line that can be printed, whatever it quotes; too long ones are cut.
 
-    >>> one_line("unknown\\n  fault '\\x1b[31m'")
-    "unknown fault '\\\\x1b[31m'"
+    >>> one_line("unknown\n  fault '\x1b[31m'")
+    "unknown fault '\\x1b[31m'"
     """
     if not text.isprintable():
         words = " ".join(text.split())

@@ -97,7 +97,7 @@ class Side(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """What the windows so far say.
+    r"""What the windows so far say.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Tally(NamedTuple):
     low, high : float
         Known range of e.
     mean, variance, power : float
-        Running means of e, of its squared deviation, and of \\|P\\|.
+        Running means of e, of its squared deviation, and of \|P\|.
     windows : int
         How many.
     """

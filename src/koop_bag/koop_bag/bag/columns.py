@@ -37,7 +37,7 @@ STORED: dict[str, tuple[int, str]] = {
 
 
 def list_fields(bag: BagReader, topic: str) -> list[str]:
-    """The fields of a topic that can be read as columns."""
+    """Return the fields of a topic that can be read as columns."""
     return _names(definition_of(bag, topic))
 
 
@@ -201,7 +201,7 @@ def _names(root: Struct) -> list[str]:
 
 
 def definition_of(bag: BagReader, topic: str) -> Struct:
-    """The message type of a topic, as the bag defines it."""
+    """Return the message type of a topic, as the bag defines it."""
     info = bag.topic(topic)
     if info.encoding != "cdr" or not info.definition:
         raise BagError(

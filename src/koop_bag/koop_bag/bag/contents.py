@@ -82,7 +82,7 @@ def _note(contents: FileContents, opcode: int, data: bytes, where: int) -> None:
 
 
 def message_records(file: McapFile, start: int) -> Iterator[bytes]:
-    """Records that hold messages: the inside of each chunk, or a message outside of any."""
+    """Yield records that hold messages: the inside of each chunk, or a message outside of any."""
     for place in file.places():
         if place.opcode == Opcode.MESSAGE:
             yield RECORD_HEAD.pack(place.opcode, place.length) + file.content(place)

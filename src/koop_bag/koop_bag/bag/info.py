@@ -109,7 +109,7 @@ def describe(bag: BagReader) -> BagInfo:
 
 
 def as_text(info: BagInfo, with_parameters: bool = False) -> str:
-    """The description for people."""
+    """Return the description for people."""
     begin = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(info.start))
     state = "complete" if info.complete else "torn: `koop bag recover` makes a whole bag of it"
     per_message = f", {info.size / info.messages:.1f} B a message" if info.messages else ""

@@ -155,7 +155,7 @@ def count_losses(steps: ArrayLike) -> StepReport:
 
 
 def early_ends(last: Mapping[str, int]) -> dict[str, int]:
-    """Steps that topics lack at their end, which no gap shows.
+    """Return the steps that topics lack at their end, which no gap shows.
 
     Parameters
     ----------
@@ -177,7 +177,7 @@ def early_ends(last: Mapping[str, int]) -> dict[str, int]:
 
 
 def complete_from(first: Mapping[str, int]) -> dict[str, int]:
-    """The step from which on all topics of a loop are recorded, by namespace.
+    """Return the step from which on all topics of a loop are recorded, by namespace.
 
     Parameters
     ----------

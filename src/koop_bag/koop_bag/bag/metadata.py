@@ -24,8 +24,9 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class OfferedQos:
-    """QoS of one publisher, in rosbag2's words. Durations are (seconds, nanoseconds); None is 'no
-    limit'.
+    """QoS of one publisher, in rosbag2's words.
+
+    Durations are (seconds, nanoseconds); None is 'no limit'.
     """
 
     reliability: str = "reliable"
@@ -39,7 +40,7 @@ class OfferedQos:
 
     @classmethod
     def from_map(cls, values: Mapping[str, Any]) -> "OfferedQos":
-        """The inverse of `as_map`; what is absent takes its default."""
+        """Return the inverse of `as_map`; what is absent takes its default."""
 
         def span(name: str) -> tuple[int, int] | None:
             value = values.get(name) or _FOREVER
@@ -116,7 +117,7 @@ class FileRecord:
         self.counts.update(counts)
 
     def as_map(self) -> dict[str, Any]:
-        """The entry under `files`."""
+        """Return the entry under `files`."""
         return {
             "path": self.path,
             "starting_time": {"nanoseconds_since_epoch": self.start},
@@ -131,7 +132,7 @@ def bag_map(
     custom: Mapping[str, str],
     ros_distro: str,
 ) -> dict[str, Any]:
-    """The inner map of `metadata.yaml` (version 9, ROS 2 Jazzy)."""
+    """Return the inner map of `metadata.yaml` (version 9, ROS 2 Jazzy)."""
     filled = [item for item in files if item.count]
     counts = sum((item.counts for item in filled), Counter[str]())
     start = min((item.start for item in filled), default=2**63 - 1)
@@ -198,7 +199,7 @@ def check_messages_plain(described: Mapping[Any, Any], path: Path) -> None:
 
 
 def parse(text: str, what: str) -> Any:
-    """The content of a YAML text out of a bag, or a BagError that names `what` it is."""
+    """Return the content of a YAML text of a bag, or raise a BagError that names it."""
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):
@@ -214,7 +215,7 @@ def parse_map(text: str, what: str) -> dict[Any, Any]:
 
 
 def parse_qos(text: str) -> list[OfferedQos]:
-    """The QoS that the publishers of a topic offered, from the channel's text."""
+    """Return the QoS that the publishers of a topic offered, from the channel's text."""
     try:
         return [OfferedQos.from_map(item) for item in parse(text, "QoS of a topic") or ()]
     except (AttributeError, KeyError, TypeError, ValueError):

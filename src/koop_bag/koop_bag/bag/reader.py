@@ -110,7 +110,7 @@ class BagReader:
         return read_description(self.notes, self.files[0].parent)
 
     def custom_data(self) -> dict[str, str]:
-        """The bag's `custom_data`."""
+        """Return the bag's `custom_data`."""
         return custom_texts(self.description)
 
     def inactive_steps(self, topic: str) -> int:

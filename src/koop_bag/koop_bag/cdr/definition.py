@@ -34,7 +34,7 @@ _MAX_FIELDS = 20_000  # with the fields of types inside; the largest messages in
 
 
 def parse_definition(type_name: str, text: str) -> Struct:
-    """The type of a topic.
+    """Return the type of a topic.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def parse_definition(type_name: str, text: str) -> Struct:
 
 
 def message_types(text: str, package: str) -> Iterator[str]:
-    """The full names of the message types in one definition of a package."""
+    """Yield the full names of the message types in one definition of a package."""
     for _, name, _ in _fields(text, package):
         if name not in _BUILTIN:
             yield name
@@ -83,7 +83,7 @@ class _Parser:
         self._open: list[str] = []  # types that are being made: each holds the next one
 
     def struct(self, name: str) -> tuple[Struct, int]:
-        """The type of a full name, and the number of its fields."""
+        """Return the type of a full name, and the number of its fields."""
         if name in self._made:
             return self._made[name]
         if name not in self._definitions:
@@ -123,8 +123,9 @@ def _array(element: MessageType, brackets: str | None) -> MessageType:
 
 
 def leaf_fields(kind: MessageType, prefix: str = "") -> list[str]:
-    """Names of the fields that read as columns, in order: numbers, strings, times, and arrays of
-    numbers.
+    """Return the names of the fields that read as columns, in order.
+
+    They are numbers, strings, times, and arrays of numbers.
     """
     if isinstance(kind, Struct) and not (kind.is_stamp and prefix):
         inner = [

@@ -20,8 +20,9 @@ Offsets = NDArray[np.int64]
 
 
 def at_every_byte(buffer: Bytes, dtype: "np.dtype[Any]") -> NDArray[Any]:
-    """The buffer seen as one value per byte offset, so that values at any, unaligned, offsets are
-    plain indexing.
+    """Return the buffer seen as one value per byte offset.
+
+    Values at any, unaligned, offsets are plain indexing then.
     """
     values: NDArray[Any] = np.ndarray(
         (max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,)

@@ -205,7 +205,7 @@ class ChunkBuffer:
         return dict(zip(channels.tolist(), counts.tolist(), strict=True))
 
     def encode(self, offset: int) -> tuple[bytes, ChunkIndex]:
-        """The chunk and its message indexes, to lie at `offset`, and its entry in the summary."""
+        """Return the chunk and its message indexes, to lie at `offset`, and its summary entry."""
         records = self._progress.records[: self.size].tobytes()
         stored = records if self._compress is None else self._compress(records)
         times = self._entries[:, 1]

@@ -90,7 +90,7 @@ class McapFile:
             start = content + length
 
     def content(self, place: Place) -> bytes:
-        """The bytes of a record."""
+        """Return the bytes of a record."""
         if place.length < 0 or place.start + place.length > self.size:
             raise self._damaged(f"it refers to byte {place.start}, where nothing is")
         self._file.seek(place.start)
@@ -106,7 +106,7 @@ class McapFile:
             yield opcode, inside[start : start + length]
 
     def parse(self, kind: type[_Parsed], place: Place) -> _Parsed:
-        """A record as the `mcap` library sees it."""
+        """Return a record as the `mcap` library sees it."""
         return self.parse_bytes(kind, self.content(place), place.start)
 
     def parse_bytes(self, kind: type[_Parsed], data: bytes, where: int) -> _Parsed:
@@ -127,7 +127,7 @@ class McapFile:
         return form.unpack_from(data)
 
     def chunk_records(self, place: Place) -> bytes:
-        """The records inside of a chunk, decompressed and checked against the chunk's checksum."""
+        """Return the records of a chunk, decompressed and checked against the chunk's checksum."""
         content = self.content(place)
         _, _, size, checksum, length = self.unpack(_CHUNK_HEAD, content, place.start)
         end = _CHUNK_HEAD.size + length
@@ -192,7 +192,7 @@ class McapFile:
 
 
 def inner_places(records: bytes) -> Iterator[Place]:
-    """The records inside of a chunk."""
+    """Yield the records inside of a chunk."""
     position, end, unpack = 0, len(records), RECORD_HEAD.unpack_from
     while position + RECORD_HEAD.size <= end:
         opcode, length = unpack(records, position)

@@ -55,8 +55,9 @@ class McapFileWriter:
         self._append(MCAP0_MAGIC + encode(Header(profile="ros2", library=_library())))
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:
-        """Announce a topic. Outside of any chunk, so that even an empty or torn file names its
-        topics.
+        """Announce a topic.
+
+        Outside of any chunk, so that even an empty or torn file names its topics.
         """
         new_schema = all(other.id != schema.id for other in self._schemas)
         self._append((encode(schema) if new_schema else b"") + encode(channel))

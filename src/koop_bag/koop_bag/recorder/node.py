@@ -309,7 +309,7 @@ class RecorderRun(Run):
         return {t.name: t.losses.lost for t in self._topics.values() if t.losses is not None}
 
     def _counters(self) -> dict[str, LossCounter]:
-        """The counters of the topics that have come, by topic."""
+        """Return the counters of the topics that have come, by topic."""
         return {t.name: t.losses for t in self._topics.values() if t.losses and t.count}
 
     def _guarded(self, action: Callable[[], None]) -> None:

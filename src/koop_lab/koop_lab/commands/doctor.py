@@ -48,14 +48,14 @@ Cause = str | None  # of a disturbance, with the remedy; None: all is well
 
 
 def judge_python(machine: Machine) -> Cause:
-    """The wheels are made for some versions."""
+    """Find a Python that has no wheels: they are made for some versions."""
     if (3, 10) <= sys.version_info[:2] <= (3, 13):
         return None
     return f"{sys.version.split()[0]}: the ROS 2 wheels are for 3.10 to 3.13; set KOOP_PYTHON"
 
 
 def judge_disk(machine: Machine) -> Cause:
-    """A recording of a loop at 200 Hz takes 2 GB a day."""
+    """Find a full disk: a recording of a loop at 200 Hz takes 2 GB a day."""
     free = shutil.disk_usage(machine.environment.get("KOOP_ROOT", ".")).free
     if free > 2 * GIB:
         return None
@@ -122,7 +122,7 @@ def judge_clock(machine: Machine) -> Cause:
 
 
 def judge_priority(machine: Machine) -> Cause:
-    """The parameter ``priority`` needs the right to be granted."""
+    """Find a missing right: the parameter ``priority`` needs it."""
     if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
         return None
     return "not permitted: add '@realtime - rtprio 98' to /etc/security/limits.d and log in again"
@@ -139,7 +139,7 @@ def judge_sessions(machine: Machine) -> Cause:
 
 
 def judge_processors(machine: Machine) -> Cause:
-    """A processor that sleeps deeply answers late."""
+    """Find a processor that sleeps deeply, and answers late."""
     governor = machine.read("sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
     load = float((machine.read("proc/loadavg") or "0").split()[0])
     if governor == "powersave":

@@ -236,7 +236,7 @@ def acting(p: RigParams, state: RigState, theta: float) -> float:
 
 @njit()
 def energy(state: RigState) -> float:
-    """Return the square of the amplitude, \\|z\\|^2 + \\|z'\\|^2."""
+    r"""Return the square of the amplitude, \|z\|^2 + \|z'\|^2."""
     first = state.re * state.re + state.im * state.im
     return first + state.other_re * state.other_re + state.other_im * state.other_im
 

@@ -251,7 +251,7 @@ class StaticMap:
 
     @property
     def least(self) -> float:
-        """y at the best hold."""
+        """Value y at the best hold."""
         return self._best[1]
 
     @property

@@ -99,7 +99,7 @@ class Aim:
 
     @property
     def y(self) -> float:
-        """y of the best amplitude, its error on top."""
+        """Value y of the best amplitude, its error on top."""
         return self.sense * self.best + self.error
 
     @property
