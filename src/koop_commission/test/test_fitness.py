@@ -95,7 +95,7 @@ def test_a_dead_sensor_and_a_command_that_is_not_applied_are_a_finding_each():
     noise = np.random.default_rng(5).normal(0.0, 0.1, (8, 3000))
     findings = list(judge_samples(RIG, unstamped(noise[0], np.full(3000, 0.5)), 1.0))
     assert [(f.name, f.text) for f in findings if f.level == BAD] == [
-        ("channel", "y is always 0.5: dead sensor")
+        ("channel", "y is always 0.5: dead sensor, or to be left out of 'measured'")
     ]
     blocks = Blocks.choose(noise[0][:, None], Windows(300, DT))
     features = np.array([blocks.features(x[:300, None]) for x in noise])
@@ -149,7 +149,7 @@ def test_arrivals_are_judged_by_losses_interval_and_rate(rhythm, pace, level, te
     [
         ({}, OK, "x -1 to 1, standard deviation 0.7"),
         ({"bad": 1.0}, BAD, "x is never a number"),
-        ({"low": 1.0}, BAD, "x is always 1: dead sensor"),
+        ({"low": 1.0}, BAD, "x is always 1: dead sensor, or to be left out of 'measured'"),
         ({"high": 5.5}, BAD, "x -1 to 5.5, beyond its limit 5 before theta moves"),
         ({"low": -9.0}, BAD, "beyond its limit -4"),
         ({"held": 0.6}, BAD, "x rests at one value for 60 % of the time: stuck"),

@@ -104,7 +104,8 @@ def judge_channel(
         text = f"{100 * summary.bad:.2g} % of {name} are not finite: the guard trips at the first"
         return Finding(BAD, "channel", text)
     if summary.dead:
-        return Finding(BAD, "channel", f"{name} is always {summary.low:g}: dead sensor")
+        text = f"{name} is always {summary.low:g}: dead sensor, or to be left out of 'measured'"
+        return Finding(BAD, "channel", text)
     if summary.low < low or summary.high > high:
         limit = low if summary.low < low else high
         text = f"{span}, beyond its limit {limit:g} before theta moves"
