@@ -2,9 +2,16 @@
 
 import io
 
+import numpy as np
 import pytest
 
-from koop_commission.stages.new_rig_file import ask, parse_knobs, parse_number
+from koop_commission.stages.new_rig_file import (
+    ask,
+    parse_knobs,
+    parse_limits,
+    parse_number,
+    propose_limits,
+)
 from koop_core.config.parameter import ConfigError
 
 
@@ -65,3 +72,19 @@ def test_several_knobs_take_one_number_or_one_each():
         parse_knobs("theta_start", values, 2, "2.5 1")
     with pytest.raises(ConfigError, match="3 numbers for 2 knobs"):
         parse_knobs("theta_start", values, 2, "1 2 3")
+
+
+def test_proposed_limits_leave_room_also_beside_an_offset_and_where_nothing_moves():
+    least, most = np.array([-1.0, 52280.3, 6.5, 1.0]), np.array([1.0, 52283.3, 6.5, 1.000002])
+    low, high = ([float(word) for word in text.split()] for text in propose_limits(least, most))
+    np.testing.assert_allclose(low, [-7.0, 52271.3, -13.0, 0.999994], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(high, [7.0, 52292.3, 26.0, 1.000008], rtol=0.0, atol=1e-6)
+
+
+def test_limits_are_as_many_as_channels_and_the_largest_above_the_least():
+    assert parse_limits("none", None, 2) == ()
+    assert parse_limits("-1, 0", None, 2) == (-1.0, 0.0)
+    with pytest.raises(ConfigError, match="3 numbers for 2 channels"):
+        parse_limits("1 2 3", None, 2)
+    with pytest.raises(ConfigError, match="0: must be above channel_min = 0"):
+        parse_limits("1 0", (-1.0, 0.0), 2)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from koop_commission.fitness.arrivals import measure_rhythm
 from koop_commission.fitness.samples import Samples
@@ -200,13 +201,12 @@ class Interview:
             least, most = np.nanmin(samples.x, axis=0), np.nanmax(samples.x, axis=0)
             ranges = zip(map(format_field, channels), least, most, strict=True)
             seen = "seen: " + ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, a, b in ranges)
-            room = PROPOSAL.margin * np.maximum(most - least, 1e-9)
-            proposals = [" ".join(f"{v:.3g}" for v in x) for x in (least - room, most + room)]
+            proposals = propose_limits(least, most)
         for name, word, proposal in zip(
             ("channel_min", "channel_max"), ("least", "largest"), proposals, strict=True
         ):
             question = f"{word} value of {_join(channels)}, beyond it theta returns; none: no limit"
-            parse = partial(_parse_numbers, count=len(channels))
+            parse = partial(parse_limits, above=self.values.get("channel_min"), count=len(channels))
             self.values[name] = ask(question, proposal, parse, seen * (name == "channel_min"))
 
     def _ask_number(self, name: str, proposal: str = "") -> None:
@@ -292,7 +292,25 @@ def _propose_dt(samples: Samples | None) -> str:
     return f"{interval:.3g}" if interval > 0.0 else ""
 
 
-def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
+def propose_limits(least: NDArray[np.float64], most: NDArray[np.float64]) -> list[str]:
+    """Return least and largest values of the channels, to three digits of the room they leave."""
+    seen = most - least
+    room = PROPOSAL.margin * np.where(seen > 0.0, seen, np.maximum(abs(most), 1.0))
+    digits = 2 - np.floor(np.log10(room)).astype(int)
+    return [
+        " ".join(f"{round(v, n):.15g}" for v, n in zip(x.tolist(), digits.tolist(), strict=True))
+        for x in (least - room, most + room)
+    ]
+
+
+def parse_limits(text: str, above: tuple[float, ...] | None, count: int) -> tuple[float, ...]:
+    """Return a limit of each channel, none for ``none``; those of channel_max lie above others.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it is not as many numbers, or one is not above its channel's lower limit.
+    """
     if text == "none":
         return ()
     try:
@@ -301,6 +319,9 @@ def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
         raise ConfigError(f"{text!r} is not a list of numbers") from None
     if len(values) != count:
         raise ConfigError(f"{len(values)} numbers for {count} channels")
+    for low, high in zip(above or (), values, strict=False):
+        if high <= low:
+            raise ConfigError(f"{high:g}: must be above channel_min = {low:g}")
     return values
 
 
