@@ -201,6 +201,18 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
     assert not (tmp_path / "new/tuned/controller.yaml").exists()
 
 
+def test_a_rig_file_may_be_mended_until_it_passed_the_check(tmp_path):
+    file, folder = tmp_path / "rig.yaml", tmp_path / "mended"
+    for rig in (ONE, mended := replace(ONE, dt=2.0 * ONE.dt)):
+        file.write_text(rig_file.written(rig))
+        Commissioning(rig, file, folder)
+        assert rig_file.read(folder / "rig.yaml") == rig
+    whole_file.write_json(folder / "commission.json", {"fit": True})
+    Commissioning(mended, file, folder)
+    with pytest.raises(ConfigError, match=r"was begun with dt = .*: choose another --out"):
+        Commissioning(ONE, file, folder)
+
+
 def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
     def run_of(excess):
         measured = Measured(1.0, 0.1, 1.0, 0.31 * excess, 0.0, 0.0, excess, 3.0, *[(BEST,)] * 3)

@@ -95,7 +95,8 @@ class Commissioning:
         copy, new = folder / RIG, folder / f"{RIG}.new"
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            if not copy.exists():
+            checked = (folder / NAME).exists()  # until then the file may be mended
+            if not (checked and copy.exists()):
                 shutil.copyfile(file, new)
                 new.rename(copy)
         except OSError as error:
