@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from koop_core.errors import InputError
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
@@ -31,7 +33,8 @@ class EDMD(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     model_ : KoopmanModel
         What :class:`~koop_esc.online.Cost` takes and ``koop train`` writes: ``model_.save(path)``.
     eigenvalues_ : ndarray of complex, shape (p,)
-        Eigenvalues of K; of a mode of frequency f [Hz] the angle is 2 pi f dt.
+        Eigenvalues of K, the slowest to decay first; of a mode of frequency f [Hz] the angle is
+        2 pi f dt, and ``model_.energies`` says how strong it is.
     n_features_in_ : int
         Number n of components of the state.
 
@@ -64,8 +67,16 @@ class EDMD(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         """Add another trajectory, shape (M, n), and identify the model from all of them."""
         first = not hasattr(self, "_gram")
         states = validate_data(self, X, dtype=np.float64, reset=first, ensure_min_samples=2)
+        if not self.dt > 0.0:
+            raise InputError(f"dt = {self.dt:g}: must be above 0 s")
         if first:
-            self._gram = Gram.empty(Monomials(states.shape[1], self.degree))
+            samples, n = states.shape
+            if (p := math.comb(n + self.degree, n)) >= samples:  # before there is room for them
+                raise InputError(
+                    f"{samples} samples (rows) of {n} channels (columns) cannot determine {p} "
+                    "observables: transpose the array, record for longer or lower the degree"
+                )
+            self._gram = Gram.empty(Monomials(n, self.degree))
         self._gram.add_trajectory(states.T)
         names = tuple(f"x{i}" for i in range(states.shape[1]))
         self.model_: KoopmanModel = build(self._gram, self.dt, names, self.modes, {})

@@ -5,11 +5,12 @@ They call what the nodes call, sample by sample, and give the same bits.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from koop_core.errors import InputError
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koopman_lifter import cost
@@ -19,19 +20,23 @@ from relay_esc import directions
 from relay_esc.config import EscConfig
 from relay_esc.directions import DirectionState
 
+if TYPE_CHECKING:
+    from koop_esc.estimator import EDMD
+
 
 class Cost:
     """Energy of a model's dominant modes in the measured state, filtered.
 
     Parameters
     ----------
-    model : KoopmanModel
-        As :class:`~koop_esc.estimator.EDMD` identifies it.
+    model : KoopmanModel or EDMD
+        As :class:`~koop_esc.estimator.EDMD` identifies it, or that itself.
     settings
         Fields of :class:`koopman_lifter.config.LifterConfig`, such as ``omega_h``.
     """
 
-    def __init__(self, model: KoopmanModel, **settings: Any) -> None:
+    def __init__(self, model: KoopmanModel | EDMD, **settings: Any) -> None:
+        model = getattr(model, "model_", model)
         config = LifterConfig(dt=model.dt, **settings)
         self._source, self._lifting = config.source, model.lifting()
         self._params, self._state = config.detector_params(), cost.initial()
@@ -75,6 +80,8 @@ class Seeker:
     """
 
     def __init__(self, dt: float, **settings: Any) -> None:
+        if not dt > 0.0:
+            raise InputError(f"dt = {dt:g}: must be above 0 s")
         config = EscConfig(**settings)
         self._params, self._knobs = config.knob(0).params(dt), config.knob_limits(dt)
         self._arrival, begin = int(Arrival.RESTART), config.initial_directions()

@@ -53,6 +53,25 @@ for module in (koop_esc.estimator, koop_esc.online):
     assert results.attempted and not results.failed
 check_estimator(koop_esc.EDMD(degree=1))
 """
+MISTAKES = """
+import numpy as np
+from koop_esc import EDMD, Cost, Seeker
+for call, words in (
+    (lambda: EDMD(dt=0.01).fit(np.zeros((2, 9000))), "2 samples (rows) of 9000 channels (columns)"),
+    (lambda: EDMD(dt=0.0).fit(np.zeros((90, 2))), "dt = 0: must be above 0 s"),
+    (lambda: Seeker(0.0), "dt = 0: must be above 0 s"),
+):
+    try:
+        call()
+    except ValueError as error:
+        assert words in str(error), error
+    else:
+        raise AssertionError(words)
+x = np.random.default_rng(0).standard_normal((90, 2))
+edmd = EDMD(degree=1, modes=2, dt=0.01).fit(x)
+both = Cost(edmd), Cost(edmd.model_)
+assert all(np.equal(*(cost.step(row) for cost in both)) for row in x)
+"""
 GOLDEN = """
 from pathlib import Path
 import numpy as np
@@ -131,6 +150,11 @@ def test_the_example_of_its_readme_runs(python):
 def test_its_public_names_are_found_and_its_estimator_is_one_of_scikit_learn(python):
     done = python(FACADE)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_mistake_with_arrays_is_named_and_a_fitted_estimator_is_a_model(python):
+    done = python(MISTAKES)
+    assert done.returncode == 0, done.stderr
 
 
 def test_it_answers_a_recording_as_the_nodes_did_over_dds(python):
