@@ -154,7 +154,8 @@ def edmd(gram: Gram) -> Koopman:
     if eigenvalues[0] <= p * np.finfo(float).eps * eigenvalues[-1]:
         raise RankDeficient(
             "the data do not excite every observable (rank deficient): "
-            "record more varied trajectories, lower the degree or take fewer delays, further apart"
+            "record more varied trajectories, subtract offsets, lower the degree or take fewer "
+            "delays, further apart"
         )
     cross = gram.equilibrated(gram.yx)
     scaled = np.asarray(np.linalg.solve(correlation, cross.T).T, dtype=np.float64)
