@@ -54,7 +54,10 @@ def replay(folder, capsys, *options):
 
 def test_a_loop_in_a_namespace(tmp_path, capsys):
     bag = copy(tmp_path / "bag", namespace="/two", parameters=golden_parameters("/two"))
-    code, printed = replay(bag, capsys, "--namespace", "/two")
+    code, printed = replay(bag, capsys)
+    assert code == 2
+    assert "no koop_msgs/msg/MeasuredState on /state: --namespace /two" in printed
+    code, printed = replay(bag, capsys, "--namespace", "two")
     assert code == 0, printed
     assert "theta  identical bit for bit in all 2000 steps" in printed
 

@@ -34,6 +34,14 @@ def add_reading_options(parser: Any) -> None:
     )  # fmt: skip
 
 
+def add_namespace_option(parser: Any) -> None:
+    """Add --namespace; ``two``, ``/two`` and ``/two/`` are alike, as for ROS 2's own commands."""
+    parser.add_argument(
+        "--namespace", type=lambda text: f"/{text.strip('/')}", default="/",
+        help="namespace of the recorded loop",
+    )  # fmt: skip
+
+
 def reading_of(args: argparse.Namespace, default: str = "") -> BagReading | None:
     """Return what the options of :func:`add_reading_options` say; None: the loop's own topics.
 

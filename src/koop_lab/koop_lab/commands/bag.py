@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_bag.cli import bag_commands
-from koop_lab.cli.source_options import add_reading_options, reading_of
+from koop_lab.cli.source_options import add_namespace_option, add_reading_options, reading_of
 
 
 def register(commands: Any) -> None:
@@ -35,7 +35,7 @@ def register(commands: Any) -> None:
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path, help="folder of a run or of a bag, or an .mcap file")
-    parser.add_argument("--namespace", default="/", help="namespace of the loop")
+    add_namespace_option(parser)
     parser.add_argument(
         "--model",
         type=Path,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from koop_core.text_table import table
 from koop_identify.recording.passes import each_knob
+from koop_lab.cli.source_options import add_namespace_option
 from koop_lab.replay.answers import replay
 from koop_lab.replay.plan import ReplayPlan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
@@ -36,7 +37,7 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--params-file", metavar="FILE", help="ROS 2 parameter file of other parameters"
     )
-    parser.add_argument("--namespace", default="/", help="namespace of the recorded loop")
+    add_namespace_option(parser)
     parser.add_argument(
         "--out", type=Path, metavar="FILE",
         help="write the answers as .npz",

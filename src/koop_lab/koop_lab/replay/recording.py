@@ -150,7 +150,11 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
     with BagReader(path) as bag:
         types = {item.name: item.type_name for item in bag.topics if item.count}
         if types.get(topic) != STATE_TYPE:
-            raise InputError(f"{path}: no {STATE_TYPE} on {topic}, there is nothing to replay")
+            loops = [
+                name.removesuffix("/state") or "/" for name, k in types.items() if k == STATE_TYPE
+            ]
+            remedy = f"--namespace {' or '.join(sorted(loops))}" if loops else "nothing to replay"
+            raise InputError(f"{path}: no {STATE_TYPE} on {topic}: {remedy}")
         names = {name: fields for name, fields in FIELDS.items() if f"{base}/{name}" in types}
         tables = read_tables(
             bag, {topic: ["step"], **{f"{base}/{name}": f for name, f in names.items()}}
