@@ -120,6 +120,18 @@ def test_a_mode_that_reacts_counts_in_every_channel_and_a_line_that_does_not_is_
     assert amplitude.period([hold.mean(axis=0) for hold in holds]) == pytest.approx(0.5, rel=0.2)
 
 
+def test_a_channel_that_shows_where_theta_is_counts_for_nothing():
+    rng = np.random.default_rng(3)
+    t = np.arange(4 * LENGTH) * DT
+    holds = []
+    for u in U:  # an encoder without noise: what is left of it, once straightened, is rounding
+        moves = (0.2 + u) * np.sin(2 * np.pi * 2.0 * t) + 0.02 * rng.normal(size=t.size)
+        holds.append(WINDOWS.powers(np.column_stack([moves, np.full(t.size, 81.2822027 + u)])))
+    amplitude = choose_amplitude(WINDOWS, holds)
+    assert weighs_at(amplitude, 0, 2.0)
+    assert not amplitude.weight[1].any()
+
+
 def test_nothing_that_reacts_is_no_amplitude():
     rng = np.random.default_rng(2)
     holds = [hold(rng, [(2.0, 1.0), (9.0, 5.0)], noise=0.3) for _ in U]

@@ -33,7 +33,7 @@ from scipy.ndimage import maximum_filter1d
 from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.origin import studied
 
-TINY = 1e-12  # share of a power that rounding leaves
+TINY = 1e-12  # share of a power, or of a value, that rounding leaves
 Array = NDArray[np.float64]
 
 
@@ -133,6 +133,8 @@ class Windows(NamedTuple):
         spectrum = np.abs(np.fft.rfft(_detrended(cut) * taper)) ** 2
         spectrum *= 2.0 / (self.length * float((taper**2).sum()))
         groups = np.add.reduceat(spectrum, self.edges[:-1], axis=2)
+        # what rounding leaves of a channel that stands still, such as theta's own position
+        groups[groups.sum(axis=2) < (TINY * np.abs(cut).max(axis=2)) ** 2] = 0.0
         return np.asarray(groups.reshape(count, shifted, *groups.shape[1:]).mean(axis=1))
 
 
