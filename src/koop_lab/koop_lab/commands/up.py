@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def main(args: argparse.Namespace) -> int:
         print(f"note: {note}")
     started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
     print(f"starting {started}; logs in {folder}/logs; Ctrl-C ends the run", flush=True)
-    status = StatusLine()
+    status = StatusLine([node.name for node in planned.nodes])
 
     def show(progress: Progress) -> None:
         status.show(progress)
@@ -151,9 +152,16 @@ def read_options(args: argparse.Namespace) -> tuple[Plan, Path]:
 
 
 class StatusLine:
-    """Prints where the run is: when a node's level changes, and every now and then."""
+    """Prints where the run is: when a node's level changes, and every now and then.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    nodes : sequence of str
+        Nodes that report.
+    """
+
+    def __init__(self, nodes: Sequence[str]) -> None:
+        self._nodes = nodes
         self._said: object = None
         self._time = -math.inf
 
@@ -161,11 +169,15 @@ class StatusLine:
         """Print a line if it is time."""
         now = time.monotonic()
         levels = {node: text.partition(":")[0] for node, text in progress.findings.items()}
-        news = (bool(progress.values), progress.step > 0, levels)
+        silent = [node for node in self._nodes if node not in progress.heard]
+        news = (bool(progress.values), progress.step > 0, levels, silent)
         if now < self._time + (STATUS if news == self._said else 1.0):
             return
         self._said, self._time = news, now
-        level = "; ".join(progress.findings.values())
+        findings = list(progress.findings.values())
+        if silent and progress.values:
+            findings.append(f"{', '.join(silent)}: starting, which after an update takes a minute")
+        level = "; ".join(findings)
         where = ""
         if progress.step:
             words = [f"step {progress.step}"]
