@@ -112,7 +112,8 @@ class GuardedTheta:
                 remedy = (
                     f" at theta = {format_knobs(state.tripped_theta, '.4g')}: if that was its "
                     "oscillation, narrow theta_min and theta_max until theirs is within, or widen "
-                    "channel_min and channel_max as far as is safe, and choose another --out"
+                    "channel_min and channel_max as far as is safe; an excitation that has begun "
+                    "then needs another --out"
                 )
             raise LiveError(f"{state.reason}{remedy}")
         if time.monotonic() - self._said > SIGN_OF_LIFE:
