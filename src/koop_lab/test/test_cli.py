@@ -55,6 +55,10 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
             ["simulate", "--params-file", "nowhere.yaml"],
             "nowhere.yaml: cannot be read: No such",
         ),
+        (
+            ["simulate", "--duration", "1", "--plot", "/proc/x/y.png"],
+            ": /proc/x/y.png: No such file",
+        ),
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
         (["simulate", "--duration", "1", "--plot", "x.xyz"], "'xyz' is not a format: choose png"),

@@ -123,7 +123,12 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
         return 0
     except (KoopError, OSError, MemoryError) as error:  # the user's input, or the machine's limits
-        print(f"{command}: error: {error or 'out of memory'}", file=sys.stderr)
+        text = str(error) or "out of memory"
+        if isinstance(error, OSError) and error.filename:
+            from koop_core.whole_file import describe_failure
+
+            text = describe_failure(error.filename, error)
+        print(f"{command}: error: {text}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
