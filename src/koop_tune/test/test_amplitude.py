@@ -330,6 +330,16 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
     assert not weighs_at(amplitude, 0, 4.0)
 
 
+def test_an_oscillation_that_depends_on_the_way_there_is_not_given_up_for_its_faint_rest():
+    rng, places, holds = np.random.default_rng(6), [], []
+    for i, u in enumerate(np.r_[U, U[2:5]]):  # at three thetas once quiet and once on its branch
+        a = 0.1 if i % 2 else 1.0
+        holds.append(hold(rng, [(2.0, a), (7.0, 0.1 * (0.1 + u))], noise=0.001))
+        places.append((float(u), 1))
+    amplitude = choose_amplitude(WINDOWS, holds, (), places)
+    assert weighs_at(amplitude, 0, 2.0)
+
+
 def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
     rng = np.random.default_rng(0)
     holds = [hold(rng, [(3.0, a)], noise=0.0) for a in (1.0, 0.5, 0.0)]

@@ -75,6 +75,9 @@ class AmplitudeSettings(Settings):
     comes: float = judged(
         0.25, "variance of a log power at one place over that of all holds, left out", low=0.0
     )
+    nearly_all: float = judged(
+        0.97, "share of what moves that is kept though it comes and goes", low=0.0, high=1.0
+    )
     repeated: float = parameter(
         0.25, "different values over samples of a sensor with a step", low=0.0, high=1.0
     )
@@ -352,7 +355,9 @@ def choose_amplitude(
     reacts = _change(mean, doubt) > AMPLITUDE.change
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
     reacts[:, : AMPLITUDE.lowest] = False  # a window has too little of a slow interference
-    reacts &= _repeats(mean, error, places)
+    repeats = _repeats(mean, error, places)
+    if not _is_most(mean, reacts & ~repeats, reacts & repeats):
+        reacts &= repeats
     if not beside:
         reacts &= ~_is_beside_line(mean, reacts)
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
@@ -458,6 +463,16 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[float, int]]) -> 
         return np.ones(mean.shape[1:], bool)
     squares = (level[first] - level[again]) ** 2 - error[first] ** 2 - error[again] ** 2
     return np.asarray(0.5 * squares.mean(axis=0) < AMPLITUDE.comes * level.var(axis=0))
+
+
+def _is_most(mean: Array, part: NDArray[np.bool_], rest: NDArray[np.bool_]) -> bool:
+    """Return whether a part of the groups, shape (n, G), is by far the most of what moves.
+
+    Then a rig may have two oscillations at one theta, whose choice depends on the way there.
+    """
+    most, less = ((mean * groups).sum(axis=2).max(axis=0) for groups in (part, rest))
+    shares = [a / (a + b) for a, b in zip(most, less, strict=True) if a + b > 0.0]
+    return sum(shares) > AMPLITUDE.nearly_all * max(len(shares), 1)
 
 
 def _beside(windows: Windows, density: Array, reacts: NDArray[np.bool_]) -> Array:
