@@ -120,7 +120,8 @@ class AmplitudeMap:
             return ""
         return (
             f"the optimum moved by {100.0 * self.motion:.2g} % of the range while this was "
-            "recorded: thetas are those at which the rig would now be as it was"
+            "recorded: thetas are those at which the rig would now be as it was (hysteresis looks "
+            "alike: if it depends on where theta came from, narrow the limits and record again)"
         )
 
 
