@@ -1,5 +1,6 @@
 """A client in a ROS domain."""
 
+import ctypes
 import os
 import signal
 import threading
@@ -20,6 +21,8 @@ pytestmark = pytest.mark.ros
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_within_a_callback_comes_after_it_and_without_a_trace(number, capfd):
+    # of a damaged message of an earlier test, which the next error would print
+    ctypes.CDLL("librcutils.so").rcutils_reset_error()
     before = signal.signal(number, signal.default_int_handler)
     done = []
 
@@ -38,8 +41,7 @@ def test_ctrl_c_within_a_callback_comes_after_it_and_without_a_trace(number, cap
     finally:
         signal.signal(number, before)
     assert done
-    # rcutils may say what an earlier test's damaged message left behind
-    assert "Traceback" not in capfd.readouterr().err
+    assert capfd.readouterr().err == ""
 
 
 def test_a_signal_that_was_ignored_stays_so_and_a_later_handler_is_kept():
