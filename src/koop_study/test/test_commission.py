@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,25 +47,29 @@ def test_a_wrong_stratum_is_refused_by_its_name() -> None:
 
 def test_words_and_truths_are_counted() -> None:
     far = [1.0, 1.6]
+    advised = {"verdict": "monotone", "damped": False, "ratio": None}
     rows = [
         row("usual", seed=1),
         row("usual", seed=2, damped=False),  # falsely not
         row("usual", seed=3, ratio=far),  # falsely damped
         row("usual", seed=4, ratio=far, damped=False),
         row("usual", seed=5, verdict="flat", damped=False, ratio=None, excited=400.0),
-        row("deep", seed=6, has_optimum=False, verdict="monotone", damped=False, ratio=None),
-        row("deep", seed=7, has_optimum=False, ratio=None),  # nothing supports that it is damped
-        row("deep", seed=8, has_optimum=False, verdict="error", damped=False, ratio=None),
+        row("usual", seed=6, **advised, advised=1.1),
+        row("deep", seed=7, has_optimum=False, **advised, advised=1.0),
+        row("deep", seed=8, has_optimum=False, **advised, advised=3.0),  # the wrong limit
+        row("deep", seed=9, has_optimum=False, shape="flat"),  # theta changes nothing
+        row("deep", seed=10, has_optimum=False, shape="monotone"),
+        row("deep", seed=11, has_optimum=False, verdict="error", damped=False, ratio=None),
     ]
     summary, mistakes = section(CONFIG, rows).tables
     counted = {
         name: [summary.cell(name, column.key) for column in summary.columns[1:]]
         for name in ("usual", "deep", "all")
     }
-    assert counted["usual"] == ["5", "5", "1", "40.0", "–", "2", "1", "1", "100"]
-    assert counted["deep"] == ["3", "0", "0", "–", "33.3", "1", "1", "0", "100"]
-    assert counted["all"] == ["8", "5", "1", "40.0", "33.3", "3", "2", "1", "100"]
-    assert [texts[0] for texts in mistakes.texts()] == ["2", "3", "4", "5", "7", "8"]
+    assert counted["usual"] == ["6", "6", "1", "33.3", "–", "2", "1", "1", "100"]
+    assert counted["deep"] == ["5", "0", "0", "–", "20.0", "2", "1", "0", "100"]
+    assert counted["all"] == ["11", "6", "1", "33.3", "20.0", "4", "2", "1", "100"]
+    assert [texts[0] for texts in mistakes.texts()] == ["2", "3", "4", "5", "8", "9", "11"]
 
 
 def test_an_optimum_moves_on_from_loop_to_loop() -> None:
@@ -82,3 +87,14 @@ def test_no_round_of_a_verification_repeats_the_noise_of_another() -> None:
     assert [len(numbers) for numbers in drawn] == [400, 400, 400, 400, 800, 800]
     alike = np.corrcoef([numbers[:400, 0] for numbers in drawn]) - np.eye(6)
     assert np.abs(alike).max() < 0.25  # five standard errors of 400 numbers
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_resting_theta_is_judged_by_the_amplitude_there(sense: float) -> None:
+    rig = draw(FamilyConfig(drift=(0.0, 0.0), depth=(8.0, 8.0), maps={"symmetric": 1.0}), 7)
+    rig = replace(rig, params=rig.params._replace(sense=sense))
+    p, (theta, best) = rig.params, rig.best()
+    worse = (rig.amplitude(p.theta_min) / best) ** sense
+    assert worse > 2.0
+    assert rig.excess(theta, 100.0) == pytest.approx(1.0)
+    assert rig.excess(p.theta_min, 100.0) == pytest.approx(worse)

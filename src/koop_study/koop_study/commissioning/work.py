@@ -69,7 +69,8 @@ def commission_plant(
     Returns
     -------
     dict
-        The rig, its verdict, and how the controller did from either end.
+        The rig, its verdict, and how the controller did from either end, or, where a refusal
+        names one, the limit of theta at which it is to be left.
     """
     rig = draw(FamilyConfig(**family), seed)
     file = file_of(rig, rate, excitation)
@@ -88,6 +89,9 @@ def commission_plant(
         row |= {"verdict": "tuned", "why": tuning.why}
     except NoOptimum as no:
         row |= {"verdict": no.kind, "why": str(no)}
+        if no.findings and no.kind == "monotone":  # "leave theta there"
+            theta = file.theta_max if no.findings.static_map.best_end else file.theta_min
+            row["advised"] = after.excess(theta, duration * rig.time)
     except ValueError as error:
         row |= {"verdict": "error", "why": str(error)}
     return row
@@ -111,8 +115,6 @@ def commissioned(
         amplitude = recorded.design.amplitude
         tuned = tune_knobs(loaded, file, {}, training_of(rig), amplitude, settings)
         tuning = tuned.tuning
-        if not rig.has_optimum:
-            return tuning
         passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
         aim = inform(summarise(tuned).make_aim(file), rounds)
         loops = first.later(len(rounds), aim.longer, passed) if rounds else first

@@ -86,8 +86,9 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
         f"and its loop closed from either end of θ's range for {config.duration:g} times its own "
         "time (slowest time of the amplitude and two periods). The amplitude is the true one, "
         "root mean square over the second half, over that of the best fixed θ with the same "
-        "noise; a rig counts as damped in truth if the worse side is within 1.5. A rig with an "
-        "optimum that is refused counts as a failure.",
+        "noise; a rig counts as damped in truth if the worse side is within 1.5 and θ matters at "
+        "all. A rig with an optimum that is refused counts as a failure; a refusal that says to "
+        "leave θ at a limit is wrong only if that limit is not within 1.5 either.",
         [_summary(config, rows), _mistakes(rows)],
         [
             Figure(
@@ -110,8 +111,15 @@ def _is_good(row: Row) -> bool:
     return ratio is not None and ratio <= FAMILY.good
 
 
-def _refused_rightly(row: Row) -> bool:
-    return not row["has_optimum"] and row["verdict"] not in ("tuned", "error")
+def _is_damped(row: Row) -> bool:
+    return _is_good(row) and row["shape"] != "flat"
+
+
+def _is_refused_rightly(row: Row) -> bool:
+    """Return whether there is nothing to seek; of a limit that was advised, whether it is good."""
+    if row["verdict"] in ("tuned", "error"):
+        return False
+    return bool(row["advised"] <= FAMILY.good if "advised" in row else not row["has_optimum"])
 
 
 def _share(count: int, of: int) -> float | None:
@@ -126,7 +134,7 @@ def _summary(config: CommissionConfig, rows: list[Row]) -> Table:
             Column("stratum", "rigs"),
             Column("rigs", "rigs", ".0f"),
             Column("optimum", "with an optimum", ".0f"),
-            Column("wrongly", "of them refused", ".0f"),
+            Column("wrongly", "of them refused wrongly", ".0f"),
             Column("success", "of them within 1.5 from either side [%]", ".1f"),
             Column("rightly", "without an optimum refused [%]", ".1f"),
             Column("damped", "said damped", ".0f"),
@@ -138,18 +146,18 @@ def _summary(config: CommissionConfig, rows: list[Row]) -> Table:
     strata = {name: [row for row in rows if row["stratum"] == name] for name in config.strata}
     for name, group in {**strata, "all": rows}.items():
         optimum = [row for row in group if row["has_optimum"]]
-        without = len(group) - len(optimum)
+        without = [row for row in group if not row["has_optimum"]]
         table.rows.append(
             (
                 name,
                 len(group),
                 len(optimum),
-                sum(row["verdict"] != "tuned" for row in optimum),
+                sum(row["verdict"] != "tuned" and not _is_refused_rightly(row) for row in optimum),
                 _share(sum(map(_is_good, optimum)), len(optimum)),
-                _share(sum(map(_refused_rightly, group)), without),
+                _share(sum(map(_is_refused_rightly, without)), len(without)),
                 sum(row["damped"] for row in group),
-                sum(row["damped"] and not _is_good(row) for row in group),  # no truth supports it
-                sum(not row["damped"] and _is_good(row) for row in group),
+                sum(row["damped"] and not _is_damped(row) for row in group),
+                sum(not row["damped"] and _is_good(row) for row in optimum),
                 quantile([row["excited"] for row in group], 0.5),
             )
         )
@@ -172,8 +180,7 @@ def _mistakes(rows: list[Row]) -> Table:
         detail=True,
     )
     for row in rows:
-        right = _is_good(row) and row["damped"] if row["has_optimum"] else _refused_rightly(row)
-        if not right:
+        if not (_is_refused_rightly(row) or (_is_damped(row) and row["damped"])):
             word = "yes" if row["damped"] else "no"
             table.rows.append(
                 (row["seed"], row["stratum"], row["shape"], row["verdict"], word, _worse(row))

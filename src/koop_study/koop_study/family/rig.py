@@ -114,6 +114,15 @@ class RandomRig:
         i = int(np.argmin(p.sense * squares))
         return oscillator.theta_at(p, GRID[i]), math.sqrt(squares[i])
 
+    def excess(self, theta: float, duration: float) -> float:
+        """Return the amplitude of a resting theta over that of the best fixed one.
+
+        Both over a time [s], see :meth:`best_fixed`; the inverse where it is to be large.
+        """
+        times = np.linspace(0.0, duration, 101)
+        square = np.mean([self.amplitude(theta, t) ** 2 for t in times])
+        return float(math.sqrt(square) / self.best_fixed(duration)[1]) ** self.params.sense
+
     def later(self, t: float) -> RandomRig:
         """Return the rig as it is after ``t`` [s]: its optimum is where it has moved to by then."""
         p = self.params
