@@ -95,7 +95,7 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"remote": "recorder"}, "remote = 'recorder': must be one of"),
         ({"events": [{"cut": "link"}]}, "there is a link only if 'remote'"),
         ({"remote": "plant", "events": [{"cut": "plant"}]}, "cut: link, not 'plant'"),
-        ({"limits": {"tail": 1}}, "limits: unknown key 'tail': did you mean"),
+        ({"limits": {"tail": 1}}, "limits: unknown key 'tail': known are tail_error"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
         ({"rig_options": "--at 1:throttle=1"}, "rig_options: only of a rig"),
         ({"parameters": {"relay_esc": {"dt": 0.1}}}, "relay_esc: unknown parameter 'dt'"),

@@ -94,15 +94,22 @@ def build(
         On an unknown node or parameter or a value that cannot be used; names the node.
     """
     refuse_unknown(values, nodes, "node")
-    return {node: _build(node, classes, values.get(node, {})) for node, classes in nodes.items()}
+    return {node: _build(node, values.get(node, {}), nodes) for node in nodes}
 
 
-def _build(node: str, classes: tuple[type, ...], section: Mapping[str, Any]) -> dict[type, Any]:
+def _build(
+    node: str, section: Mapping[str, Any], nodes: Mapping[str, tuple[type, ...]]
+) -> dict[type, Any]:
+    known = names_of(nodes[node])
+    unknown = [name for name in section if name not in known]
     try:
-        refuse_unknown(section, sorted(names_of(classes)))
+        for name in unknown:
+            if owners := [other for other in nodes if name in names_of(nodes[other])]:
+                raise ConfigError(f"unknown parameter '{name}': a parameter of {', '.join(owners)}")
+        refuse_unknown(unknown, sorted(known))
         return {
             cls: cls(**{name: section[name] for name in names_of([cls]) if name in section})
-            for cls in classes
+            for cls in nodes[node]
         }
     except ConfigError as error:
         raise ConfigError(f"{node}: {error}") from None

@@ -170,7 +170,7 @@ def refuse_unknown(
 def nearest(name: str, allowed: Iterable[str]) -> str:
     """Say which known name is meant by an unknown one, or which there are."""
     names = list(allowed)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(name, names, n=1)
     return f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
 
 
