@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -288,6 +289,15 @@ def test_fields_that_are_not_there_are_answered_with_those_that_are(write_loop):
             read_columns(reader, "/state", ["step[0]"])
         with pytest.raises(BagError, match="no topic /stat;"):
             read_columns(reader, "/stat", ["step"])
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_the_path_of_a_bag_does_in_place_of_its_reader(write_bag, messages, tmp_path, kind):
+    """Failed before: AttributeError, a str has no 'topics'."""
+    folder = write_bag(LOOP["/state"], [messages.loop("/state", k) for k in range(3)])
+    assert read_columns(kind(folder), "/t", ["step"])["step"].tolist() == [0, 1, 2]
+    with pytest.raises(BagError, match="there is no bag"):
+        read_columns(kind(tmp_path / "absent"), "/t")
 
 
 def test_a_message_shorter_than_its_type_is_an_error(write_bag, messages):

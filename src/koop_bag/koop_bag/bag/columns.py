@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,13 +42,15 @@ def list_fields(bag: BagReader, topic: str) -> list[str]:
     return _names(definition_of(bag, topic))
 
 
-def read_columns(bag: BagReader, topic: str, fields: Sequence[str] | None = None) -> Columns:
+def read_columns(
+    bag: BagReader | str | Path, topic: str, fields: Sequence[str] | None = None
+) -> Columns:
     """One topic as arrays.
 
     Parameters
     ----------
-    bag : BagReader
-        The bag.
+    bag : BagReader or path
+        The bag, or what :class:`~koop_bag.bag.reader.BagReader` takes.
     topic : str
         Its full name.
     fields : sequence of str, optional
@@ -67,6 +70,9 @@ def read_columns(bag: BagReader, topic: str, fields: Sequence[str] | None = None
     BagError
         If there is no such topic or field, or if a message does not fit its definition.
     """
+    if isinstance(bag, str | Path):
+        with BagReader(bag) as opened:
+            return read_columns(opened, topic, fields)
     return read_tables(bag, {topic: fields})[topic]
 
 
