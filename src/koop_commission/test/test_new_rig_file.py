@@ -5,7 +5,9 @@ import io
 import numpy as np
 import pytest
 
+from koop_commission.fitness.samples import Samples
 from koop_commission.stages.new_rig_file import (
+    Interview,
     ask,
     parse_knobs,
     parse_limits,
@@ -74,11 +76,30 @@ def test_several_knobs_take_one_number_or_one_each():
         parse_knobs("theta_start", values, 2, "1 2 3")
 
 
-def test_proposed_limits_leave_room_also_beside_an_offset_and_where_nothing_moves():
-    least, most = np.array([-1.0, 52280.3, 6.5, 1.0]), np.array([1.0, 52283.3, 6.5, 1.000002])
+def test_proposed_limits_leave_room_also_beside_an_offset():
+    least, most = np.array([-1.0, 52280.3, 1.0]), np.array([1.0, 52283.3, 1.000002])
     low, high = ([float(word) for word in text.split()] for text in propose_limits(least, most))
-    np.testing.assert_allclose(low, [-7.0, 52271.3, -13.0, 0.999994], rtol=0.0, atol=1e-6)
-    np.testing.assert_allclose(high, [7.0, 52292.3, 26.0, 1.000008], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(low, [-7.0, 52271.3, 0.999994], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(high, [7.0, 52292.3, 1.000008], rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("value", "note", "limits"),
+    [
+        (0.0, "none proposed: a channel stands still, as one that follows theta", ((), ())),
+        (0.5, "a channel that follows theta needs theta's range", ((-7.0, -1.5), (7.0, 2.0))),
+    ],
+)
+def test_no_limits_are_proposed_where_a_channel_stands_still(
+    monkeypatch, capsys, value, note, limits
+):
+    """Failed before: a channel that showed theta, 0 at rest, got -3 to 3, and theta went beyond."""
+    samples = Samples(*np.zeros((3, 2)), np.array([[-1.0, 0.0], [1.0, value]]))
+    interview = Interview(None, [], {"measured": "/rig:x,theta"})
+    answer(monkeypatch, "\n\n")
+    interview._ask_limits(samples)
+    assert (interview.values["channel_min"], interview.values["channel_max"]) == limits
+    assert note in capsys.readouterr().out
 
 
 def test_limits_are_as_many_as_channels_and_the_largest_above_the_least():

@@ -202,6 +202,11 @@ class Interview:
             ranges = zip(map(format_field, channels), least, most, strict=True)
             seen = "seen: " + ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, a, b in ranges)
             proposals = propose_limits(least, most)
+            seen += (
+                "; none proposed: a channel stands still, as one that follows theta does at rest"
+                if "none" in proposals
+                else "; a channel that follows theta needs theta's range"
+            )
         for name, word, proposal in zip(
             ("channel_min", "channel_max"), ("least", "largest"), proposals, strict=True
         ):
@@ -293,9 +298,14 @@ def _propose_dt(samples: Samples | None) -> str:
 
 
 def propose_limits(least: NDArray[np.float64], most: NDArray[np.float64]) -> list[str]:
-    """Return least and largest values of the channels, to three digits of the room they leave."""
+    """Return least and largest values of the channels, to three digits of the room they leave.
+
+    There are none if a channel stands still: it may follow theta, and shows no range at rest.
+    """
     seen = most - least
-    room = PROPOSAL.margin * np.where(seen > 0.0, seen, np.maximum(abs(most), 1.0))
+    if not (seen > 0.0).all():
+        return ["none", "none"]
+    room = PROPOSAL.margin * seen
     digits = 2 - np.floor(np.log10(room)).astype(int)
     return [
         " ".join(f"{round(v, n):.15g}" for v, n in zip(x.tolist(), digits.tolist(), strict=True))
