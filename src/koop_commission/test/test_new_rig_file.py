@@ -109,3 +109,10 @@ def test_limits_are_as_many_as_channels_and_the_largest_above_the_least():
         parse_limits("1 2 3", None, 2)
     with pytest.raises(ConfigError, match="0: must be above channel_min = 0"):
         parse_limits("1 0", (-1.0, 0.0), 2)
+
+
+def test_the_field_theta_is_proposed_also_where_it_is_an_array(monkeypatch):
+    """Failed before: of a ControlInput, whose theta is one since it has knobs, it was epsilon."""
+    answer(monkeypatch, "\n")
+    proposed = Interview(None, [])._ask_fields("/theta", "koop_msgs/msg/ControlInput")
+    assert proposed == "/theta:theta[0]"

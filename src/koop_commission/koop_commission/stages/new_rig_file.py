@@ -191,7 +191,9 @@ class Interview:
                 check_fields(paths, message)
             return f"{topic}:{_join(paths)}"
 
-        proposal = "theta" if "theta" in names else [*names, "data[0]"][0]
+        proposal = [*names, "data[0]"][0]
+        if hasattr(message, "theta"):
+            proposal = "theta" if "theta" in names else "theta[0]"
         return ask(f"field of {topic} that takes theta", proposal, parse)
 
     def _ask_limits(self, samples: Samples | None) -> None:
