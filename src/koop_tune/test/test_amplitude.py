@@ -330,6 +330,18 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
     assert not weighs_at(amplitude, 0, 4.0)
 
 
+def test_a_mode_that_noise_makes_differ_at_one_place_is_thetas_if_it_follows_theta():
+    """Failed before: left out, and the rig was called damped where this mode is large."""
+    rng = np.random.default_rng(0)
+    places = [*np.linspace(0.0, 1.0, 9), 1.0, 1.0, 1.0]
+    chance = [1.0] * 8 + [0.5, 1.7, 0.4, 1.5]
+    sizes = [(math.exp(-2.0 * u), 0.3 * math.exp(2.0 * u)) for u in places]
+    holds = [hold(rng, [(4.0, a), (10.0, b * c)]) for (a, b), c in zip(sizes, chance, strict=True)]
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
+    assert weighs_at(amplitude, 0, 4.0)
+    assert weighs_at(amplitude, 0, 10.0)
+
+
 def test_an_oscillation_that_depends_on_the_way_there_is_not_given_up_for_its_faint_rest():
     rng, places, holds = np.random.default_rng(6), [], []
     for i, u in enumerate(np.r_[U, U[2:5]]):  # at three thetas once quiet and once on its branch

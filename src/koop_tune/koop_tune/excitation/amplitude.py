@@ -453,16 +453,26 @@ def _change(mean: Array, doubt: Array) -> Array:
 def _repeats(mean: Array, error: Array, places: Sequence[tuple[float, int]]) -> NDArray[np.bool_]:
     """Return whether groups have about the same power where theta is the same, shape (n, G).
 
-    An interference that comes and goes differs as much there as over the whole range. With
-    hysteresis only holds that theta came to from the same side are alike.
+    An interference that comes and goes differs as much there as over the whole range, and as much
+    from one place to the next. A slow oscillation that noise drives may differ at a place, too, but
+    less from place to place. With hysteresis only holds that theta came to from the same side are
+    alike.
     """
     at, level = np.array(places).reshape(-1, 2), np.log(mean)
     apart = np.abs(at[:, None] - at).max(axis=2)
     first, again = np.nonzero(np.triu(apart < AMPLITUDE.same, 1))
     if first.size < AMPLITUDE.pairs:
         return np.ones(mean.shape[1:], bool)
-    squares = (level[first] - level[again]) ** 2 - error[first] ** 2 - error[again] ** 2
-    return np.asarray(0.5 * squares.mean(axis=0) < AMPLITUDE.comes * level.var(axis=0))
+    known = np.flatnonzero(np.isfinite(at).all(axis=1))
+    order = known[np.lexsort(at[known].T)]  # by side, then position
+    one, next_one = order[:-1], order[1:]
+    moved = apart[one, next_one] >= AMPLITUDE.same
+
+    def differs(a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.bool_]:
+        squares = (level[a] - level[b]) ** 2 - error[a] ** 2 - error[b] ** 2
+        return np.asarray(0.5 * squares.mean(axis=0) >= AMPLITUDE.comes * level.var(axis=0))
+
+    return ~(differs(first, again) & differs(one[moved], next_one[moved]))
 
 
 def _is_most(mean: Array, part: NDArray[np.bool_], rest: NDArray[np.bool_]) -> bool:
