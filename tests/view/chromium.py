@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import time
 import urllib.request
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,12 @@ import pytest
 from websockets.sync.client import connect
 
 TIMEOUT = 120.0  # [s]; on a busy machine a node takes a minute to start
+
+
+class _PageLeft(Exception):
+    """The page was left, or loaded anew, before it could answer."""
+
+    message = "Inspected target navigated or closed"
 
 
 class Chromium:
@@ -72,8 +79,16 @@ class Chromium:
         return answer["result"].get("value")
 
     def wait(self, expression: str, timeout: float = TIMEOUT, pause: float = 0.02) -> Any:
-        """Look every so often [s] until an expression is true, and return it."""
-        return self._until(lambda: self.value(expression), expression, timeout, pause)
+        """Look every so often [s] until an expression is true, and return it.
+
+        While the page is left for another, or loaded anew, it is not.
+        """
+
+        def look() -> Any:
+            with suppress(_PageLeft):
+                return self.value(expression)
+
+        return self._until(look, expression, timeout, pause)
 
     def memory(self) -> int:
         """Return the bytes that the page's script holds, after a collection."""
@@ -98,6 +113,8 @@ class Chromium:
         while True:
             said = json.loads(self._connection.recv(TIMEOUT))
             if said.get("id") == self._number:
+                if said.get("error", {}).get("message") == _PageLeft.message:
+                    raise _PageLeft
                 assert "error" not in said, said
                 return dict(said["result"])
             self._note(said)
