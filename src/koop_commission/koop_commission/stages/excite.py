@@ -216,7 +216,8 @@ class Excitation:
             shortest, longest = self._design.look(x)
         except KoopError as error:
             raise LiveError(str(error)) from None
-        span = " to ".join(dict.fromkeys(f"{period:.3g}" for period in (shortest, longest)))
+        # a channel's own noise moves its line by some thousandths
+        span = " to ".join(dict.fromkeys(f"{period:.2g}" for period in (shortest, longest)))
         print(f"periods of {span} s; which of them react shows as theta moves", flush=True)
 
     def _forecast(self) -> None:
