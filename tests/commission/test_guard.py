@@ -634,7 +634,10 @@ def test_service_manager_any_terminal_and_the_page_are_told_how_the_loop_is(
     code, text = asked("run")
     assert (code, "recorder has ended" in text) == (1, True)
     assert "tripped: ~/trip was called" in text
-    wait(lambda: "rearm it by ~/rearm" in asked("run")[1], "theta_safe", process, LONG)
+    wait(lambda: "rearm it: koop status --rearm" in asked("run")[1], "theta_safe", process, LONG)
+    code, text = asked("run", "--rearm")
+    assert (code, "rearmed, the controller begins again" in text) == (0, True)
+    wait(lambda: fast_rig.theta < 0.7, "the controller to command again", process)
     code, text = asked("loop.yaml", "--stop")
     assert (code, "ended: theta is left at 1; theta_safe = 1" in text) == (0, True)
     assert fast_rig.theta == SAFE

@@ -203,7 +203,8 @@ class GuardRun(Run):
             values |= {"cause": trip.cause.value, "reason": trip.reason, "tripped_x": list(trip.x)}
         if guard.status is Status.TRIPPED and trip is not None:
             refusal = guard.refusal(time.monotonic())
-            remedy = f"no rearm: {refusal}" if refusal else "rearm it by ~/rearm, or on the page"
+            by_hand = "rearm it: koop status --rearm, or the page"
+            remedy = f"no rearm: {refusal}" if refusal else by_hand
             return ERROR, f"tripped: {trip.reason}; {remedy}", values
         if guard.status is Status.WAITING:
             return WARN, "nothing is commanded: the controller has not answered yet", values

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from koop_core.errors import KoopError, LiveError
 from koop_node.client.alone import PREFIX
+from koop_node.client.client import Client
 from koop_node.client.desk import STATUS, STOP, ask, find_loops
 from koop_tune.folder import find_controller
 
@@ -26,9 +28,14 @@ def register(commands: Any) -> None:
         "folder", metavar="FOLDER", nargs="?", type=Path,
         help="only the loop of this folder: as given to 'koop up', or of the run",
     )  # fmt: skip
-    parser.add_argument(
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(
         "--stop", action="store_true",
         help="end the loop as Ctrl-C does, wait, and say where theta is",
+    )  # fmt: skip
+    either.add_argument(
+        "--rearm", action="store_true",
+        help="after a trip, let the controller command again; refused while the cause lasts",
     )  # fmt: skip
     parser.set_defaults(func=main)
 
@@ -48,23 +55,42 @@ def main(args: argparse.Namespace) -> int:
         print("no loop runs" + f" of {args.folder}" * (args.folder is not None))
         return NONE
     if args.stop:
-        return _stop(answers)
+        return _stop(_one_of(answers))
+    if args.rearm:
+        return _rearm(_one_of(answers))
     for name, answer in answers.items():
         process = f", process {answer['pid']} of user {answer['user']}" if "pid" in answer else ""
         print(f"{_describe(name)}{process}\n{answer['text']}")
     return 0 if all(answer["healthy"] for answer in answers.values()) else 1
 
 
-def _stop(answers: dict[str, dict[str, Any]]) -> int:
-    if len(answers) > 1:
-        names = ", ".join(map(_describe, answers))
-        raise LiveError(f"{len(answers)} loops run ({names}): name the run folder of one")
-    (name,) = answers
+def _one_of(names: Collection[str]) -> str:
+    """Return the name of the loop that is meant."""
+    if len(names) > 1:
+        described = ", ".join(map(_describe, names))
+        raise LiveError(f"{len(names)} loops run ({described}): name the run folder of one")
+    return next(iter(names))
+
+
+def _stop(name: str) -> int:
     print(f"ending the {_describe(name)}", flush=True)
     answer = ask(name, STOP, None)
     if "refused" in answer:
         raise LiveError(f"{_describe(name)}: {answer['refused']}")
     print(f"ended: {answer['text']}")
+    return 0
+
+
+def _rearm(name: str) -> int:
+    """Call the guard's service as ``ros2 service call`` would: the wheels have no ``ros2``."""
+    from std_srvs.srv import Trigger
+
+    domain, namespace = _place(name)
+    with Client("_koop_status", domain) as client:
+        answer = client.call(Trigger, f"{namespace}/koop_guard/rearm", Trigger.Request())
+    if not answer.success:
+        raise LiveError(f"{_describe(name)}: {answer.message}")
+    print(f"{_describe(name)}: rearmed, {answer.message}")
     return 0
 
 
@@ -76,6 +102,12 @@ def _places(folder: Path) -> set[str]:
     return places
 
 
-def _describe(name: str) -> str:
+def _place(name: str) -> tuple[int, str]:
+    """Return ROS domain and namespace of a loop; the namespace is empty, or begins with /."""
     domain, _, namespace = name.removeprefix(PREFIX).partition("/")
-    return f"loop on ROS domain {domain}" + f", namespace /{namespace}" * bool(namespace)
+    return int(domain), f"/{namespace}" * bool(namespace)
+
+
+def _describe(name: str) -> str:
+    domain, namespace = _place(name)
+    return f"loop on ROS domain {domain}" + f", namespace {namespace}" * bool(namespace)
