@@ -102,6 +102,21 @@ def test_the_inverter_swings_where_another_program_says_at_any_two_gains():
 
 
 @dpsim_needed
+def test_the_inverter_grows_where_dpsim_s_own_modes_do_and_rests_where_they_decay():
+    def judged(kp, kp_pll):
+        rig = inverter.Inverter(arguments(kp, kp_pll))
+        return rig.damping(), true_amplitudes(rig, 8_000)[1]
+
+    (ratio, frequency), rested = judged(0.17, 0.12)  # where the scenario is to end
+    assert ratio > 0.02
+    for kp, kp_pll, low, high in ((0.03, 0.06, 1.0, 2.0), (0.23, 0.4, 100.0, 120.0)):
+        (ratio, frequency), swung = judged(kp, kp_pll)
+        assert ratio < 0.0
+        assert low < frequency < high  # power loop and PLL; current loop and line
+        assert swung > 5.0 * rested
+
+
+@dpsim_needed
 def test_an_inverter_that_trips_is_replaced_and_says_so(capsys):
     tripping = inverter.Inverter(arguments(0.015, 0.16))
     powers = []

@@ -14,7 +14,7 @@ import os
 import random
 from typing import Any
 
-from stand import Actuation, parse_rig, start
+from stand import Actuation, SimulatedRig, parse_rig, start
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 STEP = 1.0 / 120.0  # [s]
@@ -43,7 +43,7 @@ FLIGHT = {
 }
 
 
-class Flight:
+class Flight(SimulatedRig):
     """The aircraft, level and trimmed.
 
     Raises

@@ -3,7 +3,8 @@
 Theta is the proportional gain of its power loop: too little lets the power swing slowly, too much
 excites a fast mode. That of the phase-locked loop, ``kp_pll``, is a second knob; the two are
 coupled. The other gains are of DPsim's 400 V, 10 kVA example, whose line is shorter. ``--at`` sets
-``p_ref`` [W], which moves the optimum.
+``p_ref`` [W], which moves the optimum. DPsim's own modal analysis says at the end, and beside the
+map, how well damped the circuit is.
 """
 
 from __future__ import annotations
@@ -15,18 +16,22 @@ import random
 import tempfile
 from typing import Any
 
-from stand import Actuation, parse_rig, start
+import numpy as np
+from stand import Actuation, SimulatedRig, parse_rig, start
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 DT, STEPS = 1e-3, 5  # between two samples [s]; DPsim's steps within: another number, another plant
 OMEGA, VOLTAGE, POWER = 2.0 * math.pi * 50.0, 400.0, 10e3  # [rad/s], [V], [W]
+KI, CURRENT = 0.2, (0.25, 1.0)  # integral gains; of the current loop
+FILTER = (2e-3, 10e-6, 0.2)  # [H], [F], [Ohm]
+CONNECTION, FINE = 2e-3, 2e-5  # of the modal analysis: resistance [Ohm], DPsim's step [s]
 RESISTANCE, INDUCTANCE = 0.3, 15e-3  # of the line [Ohm], [H]
 GRID = ((0.005, 0.02), (0.05, 0.5))  # noise of its magnitude [1] and angle [rad]; their memory [s]
 TRIP = 100e3  # power at which its protection would have opened [W]
 NOISE = 0.005  # of the sensors [kW], [kvar]
 
 
-class Inverter:
+class Inverter(SimulatedRig):
     """Inverter, line and grid; one that has tripped is replaced by a new one.
 
     DPsim's memory grows by 18 bytes a step, 0.3 GB in an hour of the rig's time.
@@ -56,48 +61,89 @@ class Inverter:
         self._build()
 
     def _build(self) -> None:
-        """Build the circuit, in steady state."""
+        dp = self._dp
+        self._inverter = dp.emt.ph3.GFL("GFL", dp.LogLevel.off)
+        self._inverter.set_filter_parameters(*FILTER)
+        self._inverter.with_control(True)
+        self._set_parameters()
+        self._parts, self._simulation = self._connect(self._inverter, [], DT / STEPS)
+        self._simulation.start()
+        self._source = self._parts[-1].attr("V_ref")
+        self._nominal = self._source.get()
+        self._powers = [self._inverter.attr(name) for name in ("p_inst", "q_inst")]
+
+    def _connect(self, inverter: Any, ends: list[Any], step: float) -> tuple[list[Any], Any]:
+        """Connect an inverter, after other ends, to line and grid, in steady state.
+
+        Returns all that must live as long as the simulation, and that.
+        """
         dp, off = self._dp, self._dp.LogLevel.off
         impedance, terminal = complex(RESISTANCE, OMEGA * INDUCTANCE), complex(VOLTAGE)
         for _ in range(50):  # power flow by fixed-point iteration
-            terminal = VOLTAGE + impedance * (POWER / terminal).conjugate()
+            terminal = VOLTAGE + impedance * (self._power / terminal).conjugate()
         voltages = {
             "inverter": terminal,
-            "line": terminal - RESISTANCE * (POWER / terminal).conjugate(),
+            "line": terminal - RESISTANCE * (self._power / terminal).conjugate(),
             "grid": complex(VOLTAGE),
         }
         nodes = [dp.emt.SimNode(name, dp.PhaseType.ABC) for name in voltages]
         for node, voltage in zip(nodes, voltages.values(), strict=True):
             node.set_initial_voltage(dp.Math.single_phase_variable_to_three_phase(voltage))
-        self._inverter = dp.emt.ph3.GFL("GFL", off)
-        self._inverter.set_filter_parameters(2e-3, 10e-6, 0.2)
-        self._inverter.with_control(True)
-        self._set_parameters()
         resistor, inductor = dp.emt.ph3.Resistor("R", off), dp.emt.ph3.Inductor("L", off)
         resistor.set_parameters(dp.Math.single_phase_parameter_to_three_phase(RESISTANCE))
         inductor.set_parameters(dp.Math.single_phase_parameter_to_three_phase(INDUCTANCE))
         source = dp.emt.ph3.NetworkInjection("source", off)
         source.set_parameters(dp.Math.single_phase_variable_to_three_phase(VOLTAGE))
-        parts = [self._inverter, resistor, inductor, source]
-        for part, ends in zip(parts, (nodes[:1], nodes[:2], nodes[1:], nodes[2:]), strict=True):
-            part.connect(ends)
-        self._system = dp.SystemTopology(50, nodes, parts)
-        self._simulation = dp.Simulation("inverter", off)
-        self._simulation.set_system(self._system)
-        self._simulation.set_time_step(DT / STEPS)
-        self._simulation.set_final_time(1e9)  # never
-        self._simulation.set_domain(dp.Domain.EMT)
-        self._simulation.set_solver(dp.Solver.MNA)
-        self._simulation.do_init_from_nodes_and_terminals(True)
-        self._simulation.start()
-        self._source = source.attr("V_ref")
-        self._nominal = self._source.get()
-        self._powers = [self._inverter.attr(name) for name in ("p_inst", "q_inst")]
+        parts = [inverter, resistor, inductor, source]
+        places = ([*ends, nodes[0]], nodes[:2], nodes[1:], nodes[2:])
+        for part, place in zip(parts, places, strict=True):
+            part.connect(place)
+        system = dp.SystemTopology(50, nodes, parts)
+        simulation = dp.Simulation("inverter", off)
+        simulation.set_system(system)
+        simulation.set_time_step(step)
+        simulation.set_final_time(1e9)  # never
+        simulation.set_domain(dp.Domain.EMT)
+        simulation.set_solver(dp.Solver.MNA)
+        simulation.do_init_from_nodes_and_terminals(True)
+        return [system, nodes, *parts], simulation
+
+    def damping(self) -> tuple[float, float]:
+        """Return damping ratio and frequency [Hz] of the least damped mode that samples can show.
+
+        DPsim finds the modes at this theta in its state-space form of the inverter, in which a
+        small resistance is between filter and line. Below 0 the mode grows. The filter's own at
+        1.2 kHz is as it is at any theta.
+        """
+        dp, (kp, kp_pll) = self._dp, self._theta
+        inverter = dp.emt.ph3.SSN_GFL("SSN_GFL", "SSN_GFL", dp.LogLevel.off)
+        inverter.set_parameters(
+            *FILTER, CONNECTION, OMEGA, kp_pll, KI, OMEGA, self._power, 0.0, kp, KI, *CURRENT
+        )
+        _parts, simulation = self._connect(inverter, [dp.emt.SimNode.gnd], FINE)
+        simulation.do_system_matrix_recomputation(True)
+        simulation.do_state_space_extraction(True)
+        simulation.start()
+        simulation.next()
+        analysis = dp.StateSpaceModalAnalysis(simulation.get_state_space_extractor())
+        analysis.set_analysis_frame(dp.StateSpaceAnalysisFrame.GlobalDQ0)
+        analysis.set_global_dq0_frame(OMEGA)
+        analysis.update()
+        modes = np.ravel(analysis.get_continuous_eigenvalues())
+        modes = modes[np.abs(modes.imag) < math.pi / DT]
+        ratios = -modes.real / np.abs(modes)
+        least = int(np.argmin(ratios))
+        return float(ratios[least]), float(abs(modes[least].imag) / (2.0 * math.pi))
+
+    def judge(self) -> str:
+        """Return what DPsim's own analysis says of this theta."""
+        ratio, frequency = self.damping()
+        return f"DPsim's least damped mode: damping ratio {ratio:.2g} at {frequency:.3g} Hz"
 
     def _set_parameters(self) -> None:
         kp, kp_pll = self._theta
         self._inverter.set_parameters(OMEGA, VOLTAGE, self._power, 0.0)
-        self._inverter.set_controller_parameters(kp_pll, 0.2, kp, 0.2, 0.25, 1.0, OMEGA)
+        self._inverter.set_controller_parameters(kp_pll, KI, kp, KI, *CURRENT, OMEGA)
 
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], list[float]]:
         """Return active and reactive power as measured [kW], [kvar], and as they are."""

@@ -34,4 +34,5 @@ def print_map(args: argparse.Namespace) -> None:
         rig: SimulatedRig = args.make(args)
         samples = round(args.duration / rig.dt) or SAMPLES
         values = true_amplitudes(rig, samples)
-        print(f"{theta:10.4g}", *(f"{value:10.4g}" for value in values), flush=True)
+        row = [f"{value:10.4g}" for value in (theta, *values)]
+        print(*row, *filter(None, [rig.judge()]), flush=True)
