@@ -173,7 +173,7 @@ def find_level(amplitude: Amplitude, squares: Array) -> Level:
     mean, error = mean_level(squares[skip:], amplitude.floor)
     half = squares.size - (squares.size - skip) // 2
     late, early = (
-        mean_level(part, amplitude.floor)[0] for part in (squares[half:], squares[skip:half])
+        log_of_mean(part, amplitude.floor) for part in (squares[half:], squares[skip:half])
     )
     return Level(mean, error, skip, squares.size, mean - float(logs[0]), late - early)
 
@@ -194,7 +194,13 @@ def mean_level(squares: Array, floor: float = 0.0) -> tuple[float, float]:
     less sure: by a third for the one of a noise-driven oscillation.
     """
     mean = max(float(squares.mean()), floor**2)
-    return 0.5 * math.log(mean), 0.5 * float(standard_error(squares[:, None])[0]) / mean
+    error = 0.5 * float(standard_error(squares[:, None])[0]) / mean
+    return log_of_mean(squares, floor), error
+
+
+def log_of_mean(squares: Array, floor: float) -> float:
+    """Return the logarithm of the root of the mean, not below ``floor``."""
+    return 0.5 * math.log(max(float(squares.mean()), floor**2))
 
 
 def longest_growth(levels: Sequence[Level], sense: float) -> int:
