@@ -16,6 +16,7 @@ from koop_tune.result import tune_result
 from koop_tune.result.tune_result import AmplitudeMap, ControllerResult, Points, TuneResult
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
+    LITTLE,
     describe_run,
     find_disagreements,
     find_faults,
@@ -165,15 +166,16 @@ def test_beyond_the_valley_of_the_map_counts_what_the_loop_showed_there(aim, wor
 
 def test_a_reduction_that_its_error_explains_is_none(aim, good):
     still = replace(good, amplitude_before=1.05, amplitude=1.0, reduction=1.05, error=0.04)
-    (fault,) = find_faults(aim, [still, still])
+    fault, little = find_faults(aim, [still, still])
     assert "over all starts the amplitude does not fall by more than its error" in fault
+    assert little == LITTLE
     assert find_faults(aim, [still, good]) == []  # from the worse start it fell
-    assert find_faults(aim, [replace(still, error=0.01)] * 2) == []
+    assert find_faults(aim, [replace(still, error=0.01)] * 2) == [LITTLE]
     assert find_faults(aim, [still]) == []  # it may be the better start
     # a rig that theta does not change, whose noise happened to fall behind one start
     rose, fell = (replace(good, reduction=by, error=0.035) for by in (0.94, 1.16))
-    assert len(find_faults(aim, [rose, fell])) == 1
-    assert find_faults(aim, [fell, fell]) == []
+    assert find_faults(aim, [rose, fell]) == [fault, LITTLE]
+    assert find_faults(aim, [fell, fell]) == [LITTLE]
 
 
 def test_the_loop_and_the_best_are_taken_with_the_error_of_their_ratio(aim, good):
@@ -266,11 +268,13 @@ def test_a_figure_outside_the_band_that_errors_allow_is_named(aim, good):
     assert "about" not in verdict(aim, [inside, inside], [[-1.0], [3.0]], 1, "there")
 
 
-def test_a_rig_that_theta_changes_little_is_not_praised(aim, good):
+def test_nothing_is_damped_that_was_so_at_every_start(aim, good):
+    """Of a rig whose optimum is narrow and was missed the map shows noise, and all is near it."""
     little = replace(good, error=0.001, excess=1.0, reduction=1.06)
-    said = verdict(aim, [little, replace(little, reduction=0.998)], [[-1.0], [3.0]], 1, "there")
-    assert said.endswith("theta changes the amplitude little here: by a factor of 1.06 at most.")
-    assert "amplitude little" not in verdict(aim, [little, good], [[-1.0], [3.0]], 1, "there")
+    far = replace(little, excess=1.1, reduction=1.4)  # 1.54 times the best at first
+    said = verdict(aim, [little, replace(little, reduction=1.49)], [[-1.0], [3.0]], 1, "there")
+    assert f"The rig is not damped after 1 round: {LITTLE}; leave theta at 0.7, " in said
+    assert find_faults(aim, [little, far]) == find_faults(aim, [little, good]) == []
 
 
 def test_a_part_of_the_amplitude_that_is_far_from_its_own_best_is_named(aim):
@@ -344,7 +348,8 @@ def test_a_verdict_says_not_damped_exactly_where_there_are_faults(aim, good):
         if faults:
             assert faults[0] in said
             assert "leave theta at 0.7, the best of the map, or" in said  # what to do
-            assert said.endswith("choose another --out.")  # the same command would say the same
+            # the same command would say the same
+            assert said.endswith(("choose another --out.", "or widen its limits."))
         else:
             worse = any(find_disagreements(aim, item) for item in runs)
             assert ("not as predicted" in said) == worse

@@ -9,7 +9,8 @@ need to grow,
 - nothing that is not summed moves far more than in any hold of the excitation;
 - all of theta's swing lies in the valley of that map, or in what the loop itself showed to be as
   good where it went beyond;
-- and, from the worse start, the amplitude fell by more than its error explains.
+- from the worst start, where it was more than 1.5 times the best, the amplitude fell, and over all
+  starts by more than its error explains.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
 
 Array = NDArray[np.float64]
+LITTLE = (
+    f"theta changes the amplitude little: at no start was it {CONVERGENCE.good:g} times the best"
+)
 
 
 class KnobAim(NamedTuple):
@@ -332,6 +336,8 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     if len(runs) > 1 and gain <= aim.settings.errors * error:
         verb = "fall" if aim.sense > 0 else "rise"
         faults.append(f"over all starts the amplitude does not {verb} by more than its error")
+    if len(runs) > 1 and max(run.excess * run.reduction for run in runs) <= good:
+        faults.append(LITTLE)
     for run in runs:
         if math.log(run.reduction) < -aim.settings.errors * run.error - math.log(good):
             faults.append(f"the amplitude is worse than before by {1.0 / run.reduction:.3g}")
@@ -387,6 +393,8 @@ def verdict(
             f"leave theta at {aim.theta}, the best of the map, or set theta_min and theta_max "
             "closer around it and choose another --out"
         )
+        if faults[0] == LITTLE:
+            advice = f"leave theta at {aim.theta}, the best of the map, or widen its limits"
         if any(_is_new(aim, run) for run in runs):
             advice = "the map lacks that: leave theta at theta_safe"
         last = (
@@ -400,9 +408,6 @@ def verdict(
         band = f", the band missed by errors at most ({'; '.join(outside)})" if outside else ""
         how = "about as predicted" if outside else "as predicted"
         last = f"The rig is damped {how}{band}: ./koop up {where} runs it"
-    most = max(run.reduction for run in runs)
-    if not faults and most < CONVERGENCE.good:
-        last += f"; theta changes the amplitude little here: by a factor of {most:.3g} at most"
     if not faults:
         last += _describe_trade(aim, runs)
     return " ".join([*lines, last + "."])
