@@ -528,17 +528,23 @@ def test_a_ros_that_is_not_tried_is_refused(ready: Clone) -> None:
 
 
 def test_an_edited_source_drops_the_compiled_kernels_of_all_that_may_call_it(ready: Clone) -> None:
-    kernel = ready.root / "src/first/first/__pycache__/module.kernel.nbc"
-    kernel.parent.mkdir()
-    kernel.touch()
+    source = ready.root / "src"
+    for package, needs in (("third", "second"), ("fourth", "third"), ("fifth", "first")):
+        (source / package).mkdir()
+        (source / package / "package.xml").write_text(f"<exec_depend>{needs}</exec_depend>")
+    kernels = {}
+    for package in ("first", "second", "third", "fourth", "fifth"):
+        kernels[package] = source / package / package / "__pycache__" / "module.kernel.nbc"
+        kernels[package].parent.mkdir(parents=True, exist_ok=True)
+        kernels[package].touch()
     assert ready.koop("shell", "-c", "true")[0] == 0
-    assert kernel.exists()
-    edited = ready.root / "src/second/second/module.py"
+    assert all(kernel.exists() for kernel in kernels.values())
+    edited = source / "second/second/module.py"
     stamp = (ready.root / "ros2_ws/install/koop_kernels.stamp").stat().st_mtime
     edited.write_text("edited")
     os.utime(edited, (stamp + 1, stamp + 1))
     assert ready.koop("shell", "-c", "true")[0] == 0
-    assert not kernel.exists()
+    assert {name for name, kernel in kernels.items() if kernel.exists()} == {"first", "fifth"}
 
 
 def test_an_empty_environment_has_a_home_where_ros_2_keeps_its_logs(ready: Clone) -> None:
