@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    extras_require={"test": ["hypothesis", "pytest", "scikit-learn"]},
+    extras_require={"test": ["hypothesis", "pytest"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="From a recorded excitation to a controller and its prediction. Needs no ROS.",

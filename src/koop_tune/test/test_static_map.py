@@ -21,7 +21,9 @@ def posterior(found, places):
 
     The Matern kernel of nu = 3/2 is written out (eq. 4.17); its constants are those of the fit.
     """
-    amplitude, length, white = found._fit.kernel
+    kernel = found._fit[0].kernel_
+    amplitude, length = kernel.k1.k1.constant_value, kernel.k1.k2.length_scale
+    white = kernel.k2.noise_level
 
     def k(a, b):
         r = math.sqrt(3.0) * np.abs(a[:, None] - b[None]) / length

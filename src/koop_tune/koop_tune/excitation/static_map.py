@@ -11,16 +11,16 @@ u + v t as it is now; the v with the largest likelihood counts if it is beyond d
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
+from functools import cache, cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from koop_core.config.parameter import Settings, judged, parameter
-from koop_tune.excitation.gaussian_process import GaussianProcess, Kernel, log_likelihood
 from koop_tune.origin import studied
 
 GRID = 1025  # points of a curve between 0 and 1
@@ -32,6 +32,10 @@ class MapSettings(Settings):
     """How a static map is fitted and judged."""
 
     least_error: float = studied(0.003, "least standard error of a log level", low=1e-6)
+    smoothness: float = parameter(
+        1.5, "nu of the Matern kernel", low=0.5,
+        origin="random maps: half the holds of 0.5, and not blind to a narrow valley as 2.5",
+    )  # fmt: skip
     shortest: float = parameter(0.02, "shortest length scale, in ranges", low=1e-3)
     scatter: float = studied(0.5, "largest deviation of holds at one theta", low=0.0)
     good: float = studied(1.5, "level over the best of the valley", low=1.0)
@@ -68,6 +72,33 @@ class Cliff(NamedTuple):
     height: float
 
 
+@cache
+def of_one(kernel: type[Any], name: str) -> type[Any]:
+    """Return a scikit-learn kernel that knows its one hyperparameter.
+
+    Scikit-learn looks for it in the signature of the kernel, two thirds of the time of a fit.
+    """
+
+    def log(self: Any) -> Array:
+        return np.log([getattr(self, name)])
+
+    def set_exp(self: Any, theta: Array) -> None:
+        setattr(self, name, np.exp(theta[0]))
+
+    return type(kernel.__name__, (kernel,), {"theta": property(log, set_exp)})
+
+
+@cache
+def blas_threads() -> Any:
+    """Return what limits the threads of BLAS; to find its libraries takes a tenth of a fit.
+
+    They must have been imported.
+    """
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
+
+
 @dataclass(frozen=True)
 class StaticMap:
     """Logarithm of a level at holds of theta.
@@ -102,20 +133,21 @@ class StaticMap:
         s, found = self.settings, self
         age = (time.max() - time) / max(float(np.ptp(time)), 1e-12)
         for reach in (s.fastest, 0.1 * s.fastest):
-            kernel = found._fit.kernel
+            kernel = found._fit[0].kernel_
             ways = found.motion + reach * np.linspace(-1.0, 1.0, 41)
             moved = [replace(self, u=self.u + way * age, motion=float(way)) for way in ways]
             likely = max(moved, key=lambda each: each._log_likelihood(kernel))
             if likely.motion == found.motion:
                 break
             found = likely
-        kernels = [each._fit.kernel for each in (self, found)]
+        kernels = [each._fit[0].kernel_ for each in (self, found)]
         gain = found._log_likelihood(kernels[1]) - self._log_likelihood(kernels[0])
-        return found if gain > s.moves and kernels[1].length > s.alike else self
+        return found if gain > s.moves and kernels[1].k1.k2.length_scale > s.alike else self
 
-    def _log_likelihood(self, kernel: Kernel) -> float:
+    def _log_likelihood(self, kernel: Any) -> float:
         """Return the logarithm of the marginal likelihood of the holds."""
-        return log_likelihood(kernel.of(self.u) + np.diag(self._alpha), self.y - self.y.mean())
+        covariance = kernel(self.u[:, None]) + np.diag(self._alpha)
+        return float(multivariate_normal.logpdf(self.y - self.y.mean(), cov=covariance))
 
     @property
     def _alpha(self) -> Array:
@@ -123,22 +155,32 @@ class StaticMap:
         return np.asarray(np.clip(self.error, self.settings.least_error, 3.0) ** 2)
 
     @cached_property
-    def _fit(self) -> GaussianProcess:
+    def _fit(self) -> tuple[Any, float]:
         """The conditioned process of y, less the mean of y."""
-        s = self.settings
-        start, low = Kernel(1.0, 0.3, 1e-4), Kernel(0.01, s.shortest, 1e-6)
-        high = Kernel(30.0, 3.0, s.scatter**2)
-        return GaussianProcess(self.u, self.y - self._middle, self._alpha, start, low, high)
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-    @property
-    def _middle(self) -> float:
-        """Mean of y."""
-        return float(self.y.mean())
+        s = self.settings
+        kernel = of_one(ConstantKernel, "constant_value")(1.0, (0.01, 30.0)) * of_one(
+            Matern, "length_scale"
+        )(0.3, (s.shortest, 3.0), nu=s.smoothness) + of_one(WhiteKernel, "noise_level")(
+            1e-4, (1e-6, s.scatter**2)
+        )
+        middle = float(self.y.mean())
+        process = GaussianProcessRegressor(
+            kernel, alpha=self._alpha, n_restarts_optimizer=1, random_state=0
+        )
+        # threads only wait for each other over matrices as small as these: five times the time
+        with blas_threads().limit(limits=1), warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # a bound is an answer here
+            process.fit(self.u[:, None], self.y - middle)
+        return process, middle
 
     @property
     def _white(self) -> float:
         """Variance of the process's white part, which is no doubt about the map."""
-        return self._fit.kernel.white
+        return float(self._fit[0].kernel_.k2.noise_level)
 
     @property
     def y(self) -> Array:
@@ -147,12 +189,14 @@ class StaticMap:
 
     def predict(self, u: Array) -> tuple[Array, Array]:
         """Return y and its standard error at positions, shape (M,)."""
-        y, deviation = self._fit.predict(u)
-        return y + self._middle, np.sqrt(np.maximum(deviation**2 - self._white, 1e-12))
+        process, middle = self._fit
+        y, deviation = process.predict(u[:, None], return_std=True)
+        return y + middle, np.sqrt(np.maximum(deviation**2 - self._white, 1e-12))
 
     def difference(self, a: float, b: float) -> tuple[float, float]:
         """Return y(a) - y(b) and its standard error."""
-        y, covariance = self._fit.predict_together(np.array([a, b]))
+        process, _ = self._fit
+        y, covariance = process.predict(np.array([[a], [b]]), return_cov=True)
         covariance -= self._white * np.eye(2)
         variance = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
         return float(y[0] - y[1]), math.sqrt(max(float(variance), 1e-12))
@@ -182,14 +226,15 @@ class StaticMap:
 
         The same numbers give two maps the same side of their errors.
         """
+        process, middle = self._fit
         coarse = np.linspace(0.0, 1.0, 129)
         places = np.unique(np.r_[coarse, np.clip(self.u, 0.0, 1.0)])
-        y, covariance = self._fit.predict_together(places)
+        y, covariance = process.predict(places[:, None], return_cov=True)
         covariance -= self._white * np.eye(places.size)
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         at = np.round(places * (GRID - 1)).astype(int)
-        drawn = y + self._middle + normal[:, at] @ root
+        drawn = y + middle + normal[:, at] @ root
         return np.array([self.sense * np.interp(self.grid, places, row) for row in drawn])
 
     @cached_property
