@@ -18,7 +18,7 @@ setup(
     },
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="Hardware in the loop: scenarios and faults at random on the real nodes, verdicts.",
+    description="Hardware in the loop: scenarios with faults on the real nodes, verdicts.",
     license="Apache-2.0",
     entry_points={"koop.commands": ["hil = koop_hil.command:register"]},
 )

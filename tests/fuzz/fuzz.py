@@ -38,7 +38,7 @@ from koop_bag.recorder.config import RecorderConfig
 from koop_core.config.fields import check_fields, check_type, parse_source
 from koop_core.config.parameter import ConfigError
 from koop_core.stream.arrival import Arrival
-from koop_hil import scenario
+from koop_hil import faults, scenario
 from koop_node.node.adapter import StateAdapter
 from koopman_lifter import cost
 from koopman_lifter.config import shipped_model
@@ -180,15 +180,6 @@ def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]
         if problem is not None:
             raise problem
 
-    def parse_words(rng: Random) -> None:
-        match rng.randrange(6):
-            case 0:
-                check_type(text(rng, ("sensor_msgs/msg/JointState",)))
-            case 1:
-                RecorderConfig(topics=text(rng, ("state /imu:sensor_msgs/msg/Imu",)))
-            case _:
-                parse_fields(rng)
-
     def parse_fields(rng: Random) -> None:
         message = rng.choice(messages)
         source = parse_source(text(rng, _SOURCES) if rng.random() < 0.3 else _source(message, rng))
@@ -202,8 +193,17 @@ def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]
             if not 0 <= step < 2**64 or any(type(value) is not float for value in x):
                 raise AssertionError("no step or no number")
 
+    def parse_words(rng: Random) -> None:
+        kind = rng.randrange(3)
+        if kind == 0:
+            check_type(text(rng, ("sensor_msgs/msg/JointState",)))
+        elif kind == 1:
+            faults.parse(text(rng, ("delayed delay=0.1 jitter=0.02", "garbage kind=nan", "off")))
+        else:
+            RecorderConfig(topics=text(rng, ("state /imu:sensor_msgs/msg/Imu",)))
+
     content = (
-        "description: a\ntime_scale: 4\ntwo_hosts: true\ncut_at: 20\ncut_for: 5\n"
+        "description: a\ntime_scale: 4\nevents:\n  - {at: 20, for: 5, inject: {state: slow}}\n"
         "limits: {max_error: 2.5}\nparameters: {relay_esc: {dwell: 3.0}}\n"
     )
     yaml_file = folder / "fuzzed.yaml"
@@ -219,7 +219,8 @@ def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]
     return {
         "model": (load_model, (ModelError,)),
         "bag": (read_bag, (BagError,)),
-        "fields": (parse_words, (ConfigError,)),
+        "fields": (parse_fields, (ConfigError,)),
+        "words": (parse_words, (ConfigError,)),
         "scenario": (read_scenario, (ConfigError,)),
     }
 

@@ -37,9 +37,10 @@ def two_hosts():
 @pytest.mark.slow
 def test_the_plant_runs_on_while_the_link_is_cut_and_no_step_is_lost(two_hosts, tmp_path):
     scenario = read(find("link-cut"))
-    setting = replace(scenario.setting, duration=28.0, cut_at=4.0)
+    setting = replace(scenario.setting, duration=28.0)
+    events = tuple(replace(event, at=4.0) for event in scenario.events)
     limits = replace(scenario.limits, tail_error=1e3)  # converging takes longer than this
-    verdict = run(replace(scenario, setting=setting, limits=limits), tmp_path)
+    verdict = run(replace(scenario, setting=setting, events=events, limits=limits), tmp_path)
     assert verdict.passed, verdict.failures
     with BagReader(tmp_path / "bag") as bag:
         for topic in ("state", "ground_truth"):

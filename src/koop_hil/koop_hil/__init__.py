@@ -1,4 +1,4 @@
-"""Hardware in the loop: scenarios and faults at random on the real nodes, and verdicts."""
+"""Hardware in the loop: scenarios with faults on the real nodes, and their verdicts."""
 
 from importlib.resources import files
 from pathlib import Path

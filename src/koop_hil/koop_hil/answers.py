@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Columns = Mapping[str, NDArray[Any]]
+PASS = 1 << 48  # more than the steps of a plant until it is started again
 
 
 def age_acting(state: Columns, ground_truth: Columns) -> float:
@@ -32,8 +33,13 @@ def age_acting(state: Columns, ground_truth: Columns) -> float:
     begun = np.flatnonzero((np.diff(answered) != 0) & (answered[1:] >= 0)) + 1
     when = np.where(step[begun] == step[begun - 1] + 1, at[begun], at[begun - 1])
 
-    numbers, first = np.unique(state["step"].astype(np.int64), return_index=True)
-    asked = answered[begun]
+    at = state["publish_time"].astype(np.int64)
+    order = np.argsort(at, kind="stable")
+    at, step = at[order], state["step"].astype(np.int64)[order]
+    begins = np.flatnonzero(np.diff(step, prepend=step[:1] + 1) < 0)  # of every pass of a plant
+    number = np.searchsorted(begins, np.arange(step.size), side="right") * PASS + step
+    asked = np.searchsorted(at[begins], when, side="right") * PASS + answered[begun]
+    numbers, first = np.unique(number, return_index=True)
     place = np.minimum(np.searchsorted(numbers, asked), numbers.size - 1)
-    ages = (when - state["publish_time"].astype(np.int64)[first[place]])[numbers[place] == asked]
+    ages = (when - at[first[place]])[numbers[place] == asked]
     return float(np.max(ages, initial=0)) * 1e-9

@@ -1,4 +1,4 @@
-"""``koop hil``: run scenarios, or faults at random, on the real nodes and judge them."""
+"""``koop hil``: run scenarios with faults on the real nodes and judge them."""
 
 from __future__ import annotations
 

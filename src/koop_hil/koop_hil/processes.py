@@ -1,9 +1,10 @@
-"""The processes of a scenario: started together, and none left behind."""
+"""The processes of a scenario: started, killed, paused, started again, and none left behind."""
 
 from __future__ import annotations
 
 import shlex
 import shutil
+import signal
 import sys
 from pathlib import Path
 
@@ -25,7 +26,7 @@ class Processes:
     scenario : Scenario
         What to run.
     other_host : OtherHost, optional
-        Where the plant or rig runs; None: here.
+        Where the scenario's remote process runs.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class Processes:
             "recorder",  # listeners first
             "relay_esc",
             "koopman_lifter",
+            *(["fault_injector"] if scenario.injects else []),
             "plant",
         ]
 
@@ -49,7 +51,7 @@ class Processes:
         parameter_file.write(self._parameters(), self._parameter_file)
         try:
             for name in self._order:
-                self._start(name)
+                self.start(name)
         except BaseException:
             self.close()
             raise
@@ -58,12 +60,29 @@ class Processes:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _start(self, name: str) -> None:
+    def start(self, name: str) -> None:
+        """Start a process of the scenario."""
         arguments, command = self._command(name)
         node = "vdp_plant" if name == "plant" and not command else name
-        before = tuple(self._other_host.words) if self._other_host and name == "plant" else ()
+        remote = self._other_host is not None and name == self._scenario.setting.remote
+        before = tuple(self._other_host.words) if remote and self._other_host else ()
         log = self.logs / f"{name}.log"
         self._running[name] = NodeProcess(node, arguments, log, command, before=before)
+
+    def kill(self, name: str) -> None:
+        """End a process as a power cut would."""
+        process = self._running.pop(name)
+        process.process.kill()
+        process.stop()
+
+    def pause(self, name: str, paused: bool) -> None:
+        """Stop a process with SIGSTOP, or let it go on."""
+        self._running[name].process.send_signal(signal.SIGSTOP if paused else signal.SIGCONT)
+
+    def link(self, up: bool) -> None:
+        """Cut the link to the other host, or mend it."""
+        assert self._other_host is not None  # the scenario would have been refused
+        self._other_host.link(up)
 
     def dead(self) -> list[str]:
         """Return how processes ended that ended on their own, with their last lines."""
@@ -79,6 +98,7 @@ class Processes:
         for name in reversed(self._order):
             if name in self._running:
                 process = self._running.pop(name)
+                process.process.send_signal(signal.SIGCONT)
                 if process.stop() != 0:
                     self.failures.append(str(process.failure()))
 
@@ -93,6 +113,7 @@ class Processes:
             },
             "koopman_lifter": {"model": self._copy_model()} if setting.model else {},
             "relay_esc": {"theta_initial": setting.theta_initial},
+            "fault_injector": {"time_scale": setting.time_scale},
         }
         for node, values in self._scenario.parameters.items():
             nodes.setdefault(node, {}).update(values)
@@ -110,6 +131,8 @@ class Processes:
         match name:
             case "recorder":
                 return ["--ros-args", "-p", f"output:={self.logs.parent}"], None
+            case "fault_injector":
+                return ros, [sys.executable, "-m", "koop_hil.fault_injector"]
             case "plant":
                 return self._plant(ros)
         return ros, None
@@ -117,6 +140,8 @@ class Processes:
     def _plant(self, ros: list[str]) -> tuple[list[str], list[str] | None]:
         scenario, setting = self._scenario, self._scenario.setting
         topics = {"theta": "theta"}
+        if scenario.injects:
+            topics = {"state": "rig/state", "theta": "rig/theta"}
         if scenario.sensor_topic:
             topics["state"] = scenario.sensor_topic
         if setting.plant == "vdp_plant":

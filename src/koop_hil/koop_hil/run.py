@@ -43,8 +43,8 @@ def run(scenario: Scenario, folder: Path) -> Verdict:
     package, name = PACKAGES.get(scenario.setting.plant, ("sys", ""))
     if find_spec(package) is None:
         why = f"{name} is not installed: {INSTALL}"
-        return Verdict(scenario.name, scenario.setting.description, skipped=why)
-    verdict = (_run_isolated if scenario.setting.two_hosts else run_here)(scenario, folder)
+        return Verdict(scenario.name, scenario.setting.description, [], skipped=why)
+    verdict = (_run_isolated if scenario.setting.remote else run_here)(scenario, folder)
     _write(verdict, folder)
     return verdict
 
@@ -64,13 +64,13 @@ def run_here(scenario: Scenario, folder: Path) -> Verdict:
             record = supervisor.run(scenario, folder, show)
         return judge(scenario, record, folder / "bag")
     except (LiveError, BagError) as error:  # one bad scenario doesn't end the others
-        return Verdict(scenario.name, scenario.setting.description, failures=[str(error)])
+        return Verdict(scenario.name, scenario.setting.description, [], failures=[str(error)])
 
 
 def _run_isolated(scenario: Scenario, folder: Path) -> Verdict:
     """Run and judge a scenario with two hosts; it is skipped where they cannot be made."""
     (folder / SCENARIO).write_bytes(pickle.dumps(scenario))
-    empty = Verdict(scenario.name, scenario.setting.description)
+    empty = Verdict(scenario.name, scenario.setting.description, [])
     try:
         code = call_isolated([sys.executable, "-m", __name__, str(folder)])
     except HostsError as error:

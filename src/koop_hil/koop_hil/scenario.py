@@ -1,4 +1,4 @@
-"""Scenario files: a plant or rig, the host that it runs on, and limits that must hold."""
+"""Scenario files: a plant, events in the loop, and limits that must hold afterwards."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from koop_core.config.knobs import KnobSettings
 from koop_core.config.parameter import ConfigError, Settings, mapping, parameter, refuse_unknown
 from koop_core.config.yaml_file import read_yaml
 from koop_hil import installed
+from koop_hil.actions import ACTIONS, NODES, number
 from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_loop import parameters
 from vdp_plant.config import PlantConfig
@@ -24,16 +25,47 @@ RIGS = ("galloping", "inverter", "jsbsim", "other", "paper")  # of koop_hil/rigs
 
 
 @dataclass(frozen=True)
+class ScenarioEvent:
+    """Something that happens to the loop.
+
+    Attributes
+    ----------
+    at, lasts : float
+        Begin and length [s] of simulated time.
+    action : str
+        A key of :data:`koop_hil.actions.ACTIONS`.
+    what : object
+        ``{topic: fault}``, a node, ``{node: {parameter: value}}`` or ``link``.
+    """
+
+    at: float
+    lasts: float
+    action: str
+    what: Any
+
+    def __str__(self) -> str:
+        lasts = f" for {self.lasts:g} s" if self.lasts else ""
+        return f"{self.action.replace('_', ' ')} {self.what}{lasts}"
+
+
+@dataclass(frozen=True)
 class Limits(Settings):
     """Limits that must hold at the end; theta is the value that acted on the plant."""
 
     tail_error: float = parameter(0.6, "mean |theta - theta*| over the last 30 %", low=0.0)
-    max_error: float = parameter(NO_LIMIT, "largest |theta - theta*| from the cut on, if any")
+    max_error: float = parameter(NO_LIMIT, "largest |theta - theta*| from the first event on")
+    error_limit: float = parameter(
+        1.5, "|theta - theta*| out of tolerance; the relay's own cycle is 1", low=0.0
+    )
+    time_out_of_tolerance: float = parameter(
+        NO_LIMIT, "how long theta may be out of tolerance from the first event on", unit="s"
+    )
     answer_age: float = parameter(
         NO_LIMIT, "real age of a state when the answer to it begins to act", unit="s"
     )
+    covered: float = parameter(0.3, "least share of the duration for which theta is known")
     unrecorded: int = parameter(
-        0, "messages that the recording may lack: those of a cut that DDS does not bridge"
+        0, "messages that the recording may lack: those under way when a node was killed"
     )
 
 
@@ -58,16 +90,7 @@ class Setting(KnobSettings):
     )
     model: str = parameter("", "model file, relative to the scenario; empty: the shipped one")
     seed: int = parameter(0, "seed of the plant", low=0, high=2**31 - 1)
-    two_hosts: bool = parameter(False, "the plant or rig runs on another host")
-    cut_at: float = parameter(20.0, "when the link between the hosts is cut", unit="s", low=0.0)
-    cut_for: float = parameter(0.0, "for how long; 0: never", unit="s", low=0.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.cut_for and not self.two_hosts:
-            raise ConfigError("cut_for: there is a link only with two_hosts: true")
-        if self.cut_at + self.cut_for >= self.duration and self.cut_for:
-            raise ConfigError("cut_for: the run is over before the link is back")
+    remote: str = parameter("", "what runs on another host; empty: nothing", choices=("", *NODES))
 
 
 @dataclass(frozen=True)
@@ -77,13 +100,20 @@ class Scenario:
     name: str
     setting: Setting
     parameters: dict[str, dict[str, Any]]
+    events: tuple[ScenarioEvent, ...]
     limits: Limits
     levels: dict[str, str]
+
+    @property
+    def injects(self) -> bool:
+        """Whether a fault injector stands between plant and controller."""
+        return any(event.action == "inject" for event in self.events)
 
     @property
     def topics(self) -> list[str]:
         """Topics of its loop, each with one publisher."""
         names = ["state", "cost", "theta", "ground_truth"]
+        names += ["rig/state", "rig/theta"] if self.injects else []
         return [*names, self.sensor_topic] if self.sensor_topic else names
 
     @property
@@ -142,7 +172,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     """Return the scenario that the content of a file describes."""
     top = mapping(content, "a scenario")
     setting_names = {item.name for item in fields(Setting)}
-    keys = {"parameters", "limits", "levels"}
+    keys = {"parameters", "events", "limits", "levels"}
     refuse_unknown(top, sorted(setting_names | keys), "key", "a scenario")
     settings = {key: value for key, value in top.items() if key in setting_names}
     if settings.get("model"):
@@ -153,6 +183,9 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     setting = Setting(**settings)
     begin = {"theta_initial": setting.theta_initial, **by_node.get("relay_esc", {})}
     parameters.build({node: by_node.get(node, {}) for node in CONTROLLER} | {"relay_esc": begin})
+    events = top.get("events", [])
+    if not isinstance(events, list):
+        raise ConfigError("events must be a list")
     levels = mapping(top.get("levels", {}), "levels")
     for node, level in levels.items():
         if level not in ("WARN", "ERROR", "STALE"):
@@ -161,5 +194,28 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(plants)}")
     if setting.rig_options and setting.plant == "vdp_plant":
         raise ConfigError("rig_options: only of a rig: vdp_plant has parameters")
-    levels = {str(node): level for node, level in levels.items()}
-    return Scenario(name, setting, by_node, limits, levels)
+    happens = tuple(_event(item, folder) for item in events)
+    if not setting.remote and any(event.action == "cut" for event in happens):
+        raise ConfigError("cut: there is a link only if 'remote' names what runs on another host")
+    scenario = Scenario(
+        name,
+        setting,
+        by_node,
+        happens,
+        limits,
+        {str(node): level for node, level in levels.items()},
+    )
+    if scenario.sensor_topic and scenario.injects:
+        raise ConfigError("inject: between the plant's 'state' and the lifter, not measured")
+    return scenario
+
+
+def _event(item: Any, folder: Path) -> ScenarioEvent:
+    entry = mapping(item, "an event")
+    refuse_unknown(entry, ("at", "for", *ACTIONS), "key", "an event")
+    actions = [key for key in entry if key in ACTIONS]
+    if len(actions) != 1:
+        raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {entry}")
+    at, lasts = (number(entry.get(key, 0.0), key) for key in ("at", "for"))
+    what = ACTIONS[actions[0]].check(entry[actions[0]], folder)
+    return ScenarioEvent(at, lasts, actions[0], what)

@@ -1,7 +1,9 @@
-"""Runs a scenario: its processes, the cut of its link, and the levels on /diagnostics."""
+"""Runs a scenario: its processes, its events on time, and the levels on /diagnostics."""
 
 from __future__ import annotations
 
+import heapq
+import itertools
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -14,12 +16,11 @@ from koop_bringup.live.process import START_TIMEOUT
 from koop_core.config.knobs import format_knobs
 from koop_core.errors import LiveError
 from koop_core.stream.report import LEVELS
-from koop_hil.hosts import OtherHost, other_host
+from koop_hil.actions import ACTIONS, TICK, Loop
+from koop_hil.hosts import other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_node.client.alone import alone
-
-TICK = 0.02  # [s] between looks at the clock
 
 
 @dataclass
@@ -31,11 +32,12 @@ class RunRecord:
     begin, end : int
         System time of the first and last moment [ns].
     first : int
-        When the link was cut [ns], or the run began if it was not.
+        When the first event began [ns], or the run if there is none.
     levels : dict
-        Levels that every node reported since then.
+        Levels that every node reported after the first event, or in the whole run without events.
     failures : list of str
-        Processes that ended on their own, with their last lines.
+        Processes that ended on their own, with their last lines; publishers that are not the
+        scenario's; events that did not happen.
     """
 
     begin: int = 0
@@ -52,7 +54,7 @@ def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]
     """
     with ExitStack() as stack:
         other = None
-        if scenario.setting.two_hosts:  # before the monitor: DDS looks for devices once
+        if scenario.setting.remote:  # before the monitor: DDS looks for devices once
             other = stack.enter_context(other_host())
         else:  # with two hosts no other process is on the network
             stack.enter_context(alone(topics=dict.fromkeys(scenario.topics, 1)))
@@ -65,7 +67,7 @@ def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]
             processes.refuse_dead,
         )
         refuse_others(monitor, scenario.topics)
-        record = _play(scenario, monitor, processes, other, progress)
+        record = _play(scenario, monitor, processes, progress)
     record.failures += [text for text in processes.failures if text not in record.failures]
     return record
 
@@ -74,20 +76,32 @@ def _play(
     scenario: Scenario,
     monitor: Monitor,
     processes: Processes,
-    other: OtherHost | None,
     progress: Callable[[float, str], None],
 ) -> RunRecord:
     setting, record = scenario.setting, RunRecord()
+    loop = Loop(monitor, processes)
     started = time.monotonic()
-    record.begin = record.first = time.time_ns()
-    cut, looked = False, 0.0
+    record.begin = time.time_ns()
+    order = itertools.count()
+    todo = [(event.at, next(order), event, False) for event in scenario.events]
+    heapq.heapify(todo)
+    first = min((event.at for event in scenario.events), default=0.0)
+    looked = 0.0
+    # a publisher that was killed counts for a while
+    changing = any(ACTIONS[event.action].publishers for event in scenario.events)
     while (t := (time.monotonic() - started) * setting.time_scale) < setting.duration:
         monitor.spin(TICK)
-        if other is not None and cut != (setting.cut_at <= t < setting.cut_at + setting.cut_for):
-            cut = not cut
-            record.first = time.time_ns() if cut else record.first
-            other.link(up=not cut)
-        if not setting.cut_for or t >= setting.cut_at:
+        while todo and todo[0][0] <= t:
+            _, _, event, over = heapq.heappop(todo)
+            action = ACTIONS[event.action]
+            if over:
+                action.end(loop, event.what)
+                continue
+            record.first = record.first or time.time_ns()
+            action.begin(loop, event.what)
+            if event.lasts > 0.0 or event.action == "kill":
+                heapq.heappush(todo, (t + event.lasts, next(order), event, True))
+        if t >= first:
             for node, level in monitor.progress.levels.items():
                 record.levels.setdefault(node, set()).add(LEVELS[level])
         record.failures += processes.dead()
@@ -96,9 +110,14 @@ def _play(
         if time.monotonic() - looked > 1.0:
             looked = time.monotonic()
             progress(t, f"theta {format_knobs(monitor.theta, '+.2f')}")
-            if other is None:
+            if not changing:
                 refuse_others(monitor, scenario.topics)
     record.end = time.time_ns()
+    record.first = record.first or record.begin
+    if not record.failures:
+        record.failures += [
+            f"'{event}' did not happen: the run was over" for *_, event, over in todo if not over
+        ]
     return record
 
 

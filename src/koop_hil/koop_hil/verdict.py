@@ -23,7 +23,7 @@ FIELDS = {
     "theta": ["step"],
     "ground_truth": ["step", "log_time", "publish_time", "theta_step"],
 }
-LIMITED = ("tail_error", "max_error", "unrecorded", "answer_age")
+LIMITED = ("tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answer_age")
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,6 @@ class VerdictSettings(Settings):
     whole: float = judged(
         0.95, "share of the duration that must be known, else it is said", low=0.0, high=1.0
     )  # a busy machine lets simulated time fall behind
-    covered: float = judged(0.3, "the same, below which nothing is judged", low=0.0, high=1.0)
 
 
 SETTINGS = VerdictSettings()
@@ -47,8 +46,10 @@ class Verdict:
     ----------
     tail_error : float
         Mean |theta - theta*| over the last 30 %.
+    time_out_of_tolerance : float
+        Simulated time [s] from the first event on with theta out of tolerance.
     max_error : float
-        Largest |theta - theta*| from the cut on, if any.
+        Largest |theta - theta*| from the first event on.
     duration, simulated : float
         Simulated time [s] that was asked for, and for which theta on the plant is known.
     messages : dict
@@ -68,7 +69,9 @@ class Verdict:
 
     name: str
     description: str
+    events: list[str]
     tail_error: float = math.nan
+    time_out_of_tolerance: float = math.nan
     max_error: float = math.nan
     messages: dict[str, int] = field(default_factory=dict)
     unrecorded: int = 0
@@ -90,9 +93,10 @@ class Verdict:
         state = "passed" if self.passed else "FAILED"
         if not self.messages:
             return f"{self.name:<24} {state}"
+        out = self.time_out_of_tolerance
         figures = (
             f"mean |theta - theta*| {self.tail_error:.2f} at the end, "
-            f"at most {self.max_error:.2f}, "
+            f"at most {self.max_error:.2f}, out of tolerance for {out:.1f} s, "
             f"oldest acting answer {self.answer_age:.2f} s"
         )
         if self.simulated < SETTINGS.whole * self.duration:
@@ -102,7 +106,8 @@ class Verdict:
 
 def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     """Compare a run with the scenario's limits."""
-    verdict = Verdict(scenario.name, scenario.setting.description)
+    events = [str(event) for event in scenario.events]
+    verdict = Verdict(scenario.name, scenario.setting.description, events)
     verdict.duration = scenario.setting.duration
     verdict.levels = {node: sorted(levels) for node, levels in sorted(record.levels.items())}
     verdict.failures += record.failures
@@ -142,12 +147,14 @@ def _judge_theta(
     stamps = stamps[inside]
     theta = np.stack([ground_truth[name][inside] for name in applied], axis=1)
     verdict.simulated = float(stamps.size * scenario.dt)
-    if verdict.simulated < SETTINGS.covered * verdict.duration:
+    if verdict.simulated < scenario.limits.covered * verdict.duration:
         verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")
         return
     error = scenario.off(theta)
     verdict.tail_error = float(error[-max(1, round(METRICS.tail * error.size)) :].mean())
     after = stamps >= record.first
+    out = after & (error > scenario.limits.error_limit)
+    verdict.time_out_of_tolerance = float(out.sum() * scenario.dt)
     verdict.max_error = float(error[after].max(initial=0.0))
 
 

@@ -47,6 +47,17 @@ def test_an_answer_that_began_to_act_in_a_gap_of_the_recording_did_so_as_early_a
     assert age_acting(state, gap) == pytest.approx(30 * 0.005)
 
 
+def test_a_plant_that_is_started_again_counts_its_own_steps():
+    first, second = loop(), loop()
+    for column in second:
+        column["publish_time"] += 1000 * TICK
+    state, ground_truth = (
+        {name: np.concatenate([a[name], b[name]]) for name in a}
+        for a, b in zip(first, second, strict=True)
+    )
+    assert age_acting(state, ground_truth) == pytest.approx(0.005)
+
+
 def test_an_answer_to_a_state_that_was_not_recorded_has_no_age():
     state, ground_truth = loop()
     ground_truth["theta_step"][100] = 10**6
