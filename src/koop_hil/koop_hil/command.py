@@ -40,7 +40,7 @@ def main(args: argparse.Namespace) -> int:
     files = shipped()
     if args.list:
         for path in files:
-            print(f"{path.stem:<24}{read(path).setting.description}")
+            print(f"{path.stem:<24} {read(path).setting.description}")
         return 0
     if args.scenarios == [CHAOS]:
         return run_chaos(args.out or default_folder(CHAOS), args.seed, args.faults)
