@@ -275,6 +275,7 @@ def test_nothing_is_damped_that_was_so_at_every_start(aim, good):
     said = verdict(aim, [little, replace(little, reduction=1.49)], [[-1.0], [3.0]], 1, "there")
     assert f"The rig is not damped after 1 round: {LITTLE}; leave theta at 0.7, " in said
     assert find_faults(aim, [little, far]) == find_faults(aim, [little, good]) == []
+    assert find_faults(replace(aim, error=0.05), [little, far]) == [LITTLE]  # 1.54 exp(-0.05)
 
 
 def test_a_part_of_the_amplitude_that_is_far_from_its_own_best_is_named(aim):

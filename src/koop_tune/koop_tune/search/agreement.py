@@ -9,8 +9,8 @@ need to grow,
 - nothing that is not summed moves far more than in any hold of the excitation;
 - all of theta's swing lies in the valley of that map, or in what the loop itself showed to be as
   good where it went beyond;
-- from the worst start, where it was more than 1.5 times the best, the amplitude fell, and over all
-  starts by more than its error explains.
+- from the worst start, where it was more than 1.5 times the best beyond its error, the amplitude
+  fell, and over all starts by more than its error explains.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSet
 
 Array = NDArray[np.float64]
 LITTLE = (
-    f"theta changes the amplitude little: at no start was it {CONVERGENCE.good:g} times the best"
+    f"theta changes the amplitude little: at no start was it surely {CONVERGENCE.good:g} times "
+    "the best"
 )
 
 
@@ -336,12 +337,18 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     if len(runs) > 1 and gain <= aim.settings.errors * error:
         verb = "fall" if aim.sense > 0 else "rise"
         faults.append(f"over all starts the amplitude does not {verb} by more than its error")
-    if len(runs) > 1 and max(run.excess * run.reduction for run in runs) <= good:
+    if len(runs) > 1 and max(_least_before(aim, run) for run in runs) <= good:
         faults.append(LITTLE)
     for run in runs:
         if math.log(run.reduction) < -aim.settings.errors * run.error - math.log(good):
             faults.append(f"the amplitude is worse than before by {1.0 / run.reduction:.3g}")
     return faults
+
+
+def _least_before(aim: Aim, run: Measured) -> float:
+    """Return the amplitude over the best before the loop was closed, or less by its error."""
+    doubt = aim.settings.sure * math.hypot(run.error, aim.error)
+    return run.excess * run.reduction * math.exp(-doubt)
 
 
 def _whole(aim: Aim, run: Measured) -> float:
