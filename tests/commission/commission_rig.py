@@ -120,9 +120,10 @@ class PaperRig(Rig):
         k, period, due, said = 0, PAPER.dt / PAPER.pace, time.monotonic(), 0.0
         while not self._over.is_set():
             now = time.monotonic()
-            is_commanded = now < self._heard + COMMANDED
-            if now < due or (is_commanded and not self._is_answered and now < said + PATIENCE):
-                self._executor.spin_once(timeout_sec=0.001)
+            awaited = now < self._heard + COMMANDED and not self._is_answered
+            until = max(due, said + PATIENCE) if awaited else due
+            if now < until:
+                self._executor.spin_once(timeout_sec=until - now)
                 continue
             due = max(due + period, now - LATE)  # a busy machine slows it
             for _ in range(SUBSTEPS):
