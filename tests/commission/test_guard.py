@@ -531,7 +531,8 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(koop, nodes_of,
             "theta_max": 5.0, "theta_start": 2.0, "theta_safe": 2.5, "rearms": 9,
         }  # fmt: skip
         lifter = {"cost": "raw", "omega_h": 300.0, "omega_l": 30.0}  # settles in 0.1 s
-        esc = {"step_size": 0.004, "theta_initial": 2.0, "rate_limit": 1.0}
+        esc = {"step_size": 0.004, "theta_initial": 2.0, "rate_limit": 1.0, "dwell": 1.0,
+               "tau_f": 1.0}  # fmt: skip
         values = {"koopman_lifter": lifter, "relay_esc": esc, "koop_guard": guard}
         file = tmp_path / "loop.yaml"
         parameter_file.write(values, file)
