@@ -34,6 +34,7 @@ def test_what_no_node_of_a_loop_would_say_is_not_heard():
                 publisher.publish((b"\0\1\0\0" + b"\xff" * 20)[:size])
         unknown = Parameter(name="gain", value=ParameterValue(type=77))
         events.publish(ParameterEvent(node="/relay_esc", changed_parameters=[unknown]))
+        reports.publish(report("relay_esc", **{**FIGURES, "theta": "9.5"}))  # not what the rig gets
         reports.publish(report("arm", b"\1", step="home"))
         progress = monitor.progress
         done = lambda: "relay_esc" in progress.changed and "arm" in progress.findings  # noqa: E731

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_bringup.live.monitor import Progress
-from koop_core.config.knobs import format_knobs, read_knobs
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import Settings, parameter
 from koop_core.stream.report import WARN
 
@@ -84,8 +84,7 @@ def describe_loop(
         rig = f"measured {guard['measured'] if guard else lifter.get('measured', 'state')}"
     if guard is not None:
         rig += f", command {guard['command']}"
-    of_guard = progress.values.get("koop_guard", {}).get("theta")
-    theta = format_knobs(read_knobs(of_guard) if of_guard else progress.theta)
+    theta = format_knobs(progress.theta)
     size = sum(file.stat().st_size for file in (folder / "bag").glob("*"))
     return "\n".join(
         [

@@ -106,5 +106,6 @@ class Monitor(Client):
         plant = "vdp_plant" in progress.values
         if node == ("vdp_plant" if plant else "koopman_lifter"):
             progress.step, progress.steps_per_second = step, rate
-        if node == ("vdp_plant" if plant else "relay_esc"):
+        guard = "koop_guard" in progress.values  # what the rig gets, not what is asked for
+        if node == ("vdp_plant" if plant else "koop_guard" if guard else "relay_esc"):
             progress.theta = theta

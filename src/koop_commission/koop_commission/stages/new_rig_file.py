@@ -286,7 +286,8 @@ def _ask_topics(
         f"  {number} {t.name}  {t.type}  (published by {', '.join(t.publishers) or 'none'})"
         for number, t in enumerate(topics, 1)
     ]
-    names = ask(question, "1" if topics else "", parse, "\n".join(["", head, *rows]))
+    only = "1" if len(topics) == 1 else ""  # of several none: it would be moved, wrong or not
+    names = ask(question, only, parse, "\n".join(["", head, *rows]))
     types = {topic.name: topic.type for topic in topics}
     return [(name, types.get(name, "")) for name in names]
 
