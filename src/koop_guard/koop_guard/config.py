@@ -30,7 +30,7 @@ class RigLimits(KnobSettings):
     measured: str = parameter(
         "state:x[0]",
         "measured channels as topic:field,field, such as /joint_states:position[0],velocity[0]; "
-        "all in one message, and only those that oscillate",
+        "all in one message, and only those that oscillate: one that drifts makes holds long",
         read_only=True,
     )
     command: str = parameter(
