@@ -266,9 +266,9 @@ def test_lines_that_theta_does_not_change_are_interference():
     seconds, bins = 10.0, 400
     power = np.full((3, 1, bins), 1e-4)
     power[:, 0, 48] = [9.0, 1.0, 4.0]  # 5 Hz: theta changes it
-    power[:, 0, 198] = 2.0  # 20 Hz: it does not
+    power[:, 0, 198] = 2.0  # 20 Hz: it does not, only what is beside it
     sure = np.zeros((1, bins), bool)
-    sure[0, 48] = True
+    sure[0, [48, 197, 199]] = True
     spectra = Spectra(seconds, DT, np.array([0.0, 0.5, 1.0]), power, sure)
     peaks = find_peaks(spectra, 0)
     assert [(round(p.line.frequency, 2), p.kind) for p in peaks] == [

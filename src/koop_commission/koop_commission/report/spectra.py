@@ -125,7 +125,7 @@ def find_peaks(spectra: Spectra, channel: int) -> list[Peak]:
             taken.append(at)
             about = slice(max(at - NEAR, 0), at + NEAR + 1)
             amplitude = np.sqrt(2.0 * power[:, about].sum(axis=1) / HANN)
-            moved = bool(spectra.sure[channel, about].any())
+            moved = bool(spectra.sure[channel, at])  # beside it is what it stands out from
             lines.append(Peak(line, moved, float(amplitude.min()), float(amplitude.max())))
     return sorted(lines, key=lambda peak: -peak.most)
 
