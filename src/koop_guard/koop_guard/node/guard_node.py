@@ -205,7 +205,7 @@ class GuardRun(Run):
             refusal = guard.refusal(time.monotonic())
             by_hand = "rearm it: koop status --rearm, or the page"
             remedy = f"no rearm: {refusal}" if refusal else by_hand
-            then = time.localtime(time.time() - (time.monotonic() - trip.when))
+            then = time.localtime(trip.when + self._epoch)
             when = time.strftime("%Y-%m-%d %H:%M:%S", then)  # it may have been in an earlier run
             return ERROR, f"tripped: {trip.reason}, at {when}; {remedy}", values
         if guard.status is Status.WAITING:
