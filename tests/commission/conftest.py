@@ -32,7 +32,7 @@ def rig_yaml(tmp_path):
 
 @pytest.fixture
 def koop(tmp_path):
-    """Start a command; it is waited for."""
+    """Start a command; it is waited for, and what it said is shown if the test fails."""
     running = []
 
     def start(*words):
@@ -47,4 +47,4 @@ def koop(tmp_path):
     for process in running:
         if process.poll() is None:
             process.kill()
-        process.communicate()
+        print(*process.args, *process.communicate(), sep="\n")
