@@ -207,6 +207,36 @@ def test_where_theta_was_held_too_short_for_what_reacts_it_goes_again_at_once():
     assert abs(design.static_map().best() - 0.4) < 0.1
 
 
+def test_windows_that_come_back_to_their_length_lose_no_hold(monkeypatch):
+    """Failed before: theta went over the range again and again, at the end of each hold."""
+    rig, design = Simulated(lambda u: 3.0 * u), Design(RIG)
+    design.look(rig.stay(round(DESIGN.shortest / DT)))
+    length = design.windows.length
+
+    class Reacts:
+        """It looks slow through short windows and fast through long ones."""
+
+        def __init__(self, windows):
+            self.factor = 2.0 if windows.length < 1.5 * length else 1.0
+
+        def period(self, powers):
+            return self.factor * length * DT / DESIGN.window
+
+        def squares(self, powers):
+            return powers.sum(axis=(1, 2))
+
+    monkeypatch.setattr(
+        "koop_tune.excitation.design.choose_amplitude", lambda windows, *_, **__: Reacts(windows)
+    )
+    for u, windows in ((0.0, 12), (0.5, 12), (1.0, DESIGN.brief + 1)):
+        rig.go(u)
+        design.holds.append(Hold(u, 1, rig.stay(windows * length)))
+    design._queue = [0.75]
+    design._choose()
+    assert design.windows.length == pytest.approx(length, rel=0.1)
+    assert (len(design.holds), design._queue) == (3, [0.75])
+
+
 def test_a_map_that_errors_hide_is_looked_at_between_its_holds_and_loses_none():
     design, moves = excite(Simulated(absorber(0.5, 2.0, 0.5), noise=0.8, seed=2))
     assert len(design.holds) == len(moves) > COUNT

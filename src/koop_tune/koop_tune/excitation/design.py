@@ -593,7 +593,7 @@ class Design:
         holds = [hold for hold in holds if hold.size >= 2 * self.windows.length]
         if len(holds) < 2:
             return
-        s = self._settings
+        s, before = self._settings, self.windows
         for last in (False, False, True):
             powers = [hold.late(self.windows) for hold in holds]
             places = [(h.u if h in self.holds else math.nan, h.side) for h in holds]
@@ -614,14 +614,14 @@ class Design:
             if 0.7 < length / self.windows.length < 1.5:
                 break
             self.windows = self.windows._replace(length=length)
-            least = s.brief * length  # at the first positions theta goes again where it was shorter
+            holds = [hold for hold in holds if hold.size >= s.brief * length]
+            if len(holds) < 2:
+                break
+        if self.windows != before:  # at the first positions theta goes again where it was shorter
+            least = s.brief * self.windows.length
             self._queue += [hold.u for hold in self.holds if hold.size < least]
             self.holds = [hold for hold in self.holds if hold.size >= least]
-            holds = [hold for hold in holds if hold.size >= least]
-            if len(holds) < 2:
-                self.amplitude = None
-                return
-        self.amplitude = choose_amplitude(*known)
+        self.amplitude = choose_amplitude(*known) if len(holds) > 1 else None
 
     @property
     def left(self) -> int:
