@@ -207,6 +207,22 @@ def test_where_theta_was_held_too_short_for_what_reacts_it_goes_again_at_once():
     assert abs(design.static_map().best() - 0.4) < 0.1
 
 
+def test_positions_beside_the_best_go_further_out_where_nothing_differs():
+    """Failed before: 48 holds, all within 6 % of the range."""
+    rig = Simulated(lambda u: 0.0 if abs(u - 0.4) < 0.15 else 2.0)
+    others = []  # of several knobs, what reacts is known from elsewhere
+    for u in (0.0, 0.4):
+        rig.go(u)
+        others.append(Hold(u, 1, rig.stay(3000)))
+    first = [0.37, 0.385, 0.415, 0.43]
+    settings = replace(DESIGN, gap=0.2)
+    design, moves = run(Design(RIG, (), None, settings, None, others, first), rig)
+    assert design.ended == KNOWN
+    assert len(moves) < 35
+    valley = design.static_map().valley()
+    assert (valley.low, valley.high) == pytest.approx((0.25, 0.55), abs=0.05)
+
+
 def test_windows_that_come_back_to_their_length_lose_no_hold(monkeypatch):
     """Failed before: theta went over the range again and again, at the end of each hold."""
     rig, design = Simulated(lambda u: 3.0 * u), Design(RIG)

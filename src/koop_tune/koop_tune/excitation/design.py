@@ -269,8 +269,13 @@ class Design:
         if static_map.flat:
             if gap is not None:
                 return Move(gap, why=GAP)
-            self._queue = self._positions(self.holds[-1].u < 0.5)
-            return Move(self._queue[0], why="again: errors hide the map")
+            again, up = "again", self.holds[-1].u < 0.5
+            if self._first is not None:
+                again = "further out"
+                wider = 2.0 * np.array(self._first) - np.mean(self._first)
+                self._first = np.unique(np.clip(wider, 0.0, 1.0)).tolist()
+            self._queue = self._missing(up) or self._positions(up)
+            return Move(self._queue[0], why=f"{again}: errors hide the map")
         grid = static_map.grid[::4]
         held = (np.abs(static_map.u[:, None] - grid) < s.finest).sum(axis=0)
         gain = static_map.expected_improvement(grid, self._floor)
