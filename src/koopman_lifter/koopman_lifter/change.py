@@ -22,10 +22,10 @@ the power of a window over the usual one, at most 1 as noise moves the phase of 
 more, times what overlapping windows leave of new information.
 
 A frequency that has left that quarter tells the phases nothing. So spectra of what is listened to
-go on, each of some hundred periods: a change is also a line away from f0 of ten times the power
-that was ever there, before the last spectrum, and of ten times what is left at f0. If that is as
-much as half of what the last spectrum had there, the oscillation has stayed: the line is
-interference.
+go on, each of some hundred periods: a change is also a line away from the known range of ten times
+the power that was ever there, before the last spectrum, and of ten times what is left within the
+range. If that is as much as half of what the last spectrum had there, the oscillation has stayed:
+the line is interference.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ LOOKED = 20  # windows that dominant_period makes of what is listened to
 FITS = 4  # periods in one of them, at least
 AVERAGED = 4  # windows of a spectrum of what is listened to: 20 periods in each, at least
 TOLD = 0.15  # e that is told: a frequency that has left the quarter looks like a larger one
-LEFT = 0.2  # of f0: a line farther away is no longer that of f0
+LEFT = 0.2  # of f0: a line farther away from the known range is no longer that of f0
 LEAKED = 2  # bins on either side of a line, and those of a trend
 TINY = float(np.finfo(float).tiny)
 
@@ -417,10 +417,11 @@ class Watch:
         """Compare a spectrum with those before it; return a jump of the oscillation."""
         (rows, _, cursor), t, most = self._listening, self._tally, self._most
         if self.learned:
-            own = self._hertz(0.5 * (t.low + t.high))
+            low, high = self._hertz(t.low), self._hertz(t.high)
+            own = 0.5 * (low + high)
             hertz = AVERAGED / (len(rows) * float(cursor[1]) * self._dt)
             bins = np.arange(power.size)
-            away = np.abs(bins * hertz / own - 1.0)
+            away = np.maximum(low - bins * hertz, bins * hertz - high) / own
             left = power[away <= 0.5 * LEFT].max(initial=TINY)
             spread = sliding_window_view(np.pad(most, LEAKED), 2 * LEAKED + 1).max(axis=1)
             rise = np.where(away > LEFT, power / np.maximum(spread, left), 0.0)[:-LEAKED]

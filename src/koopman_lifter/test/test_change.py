@@ -121,6 +121,16 @@ def test_a_frequency_that_has_always_come_and_gone_is_no_change():
     assert changes(Watch(1, DT), swinging(frequency, noise=0.1)) == []
 
 
+def test_what_is_faint_beside_an_oscillation_at_an_end_of_its_range_is_no_change():
+    """As where theta decides which of two modes chatters: nothing is left between them."""
+    t = DT * np.arange(samples(2000))
+    swing = np.clip(2.0 * np.sin(2.0 * np.pi * t / 160.0), -1.0, 1.0)
+    swing[t < 90.0], swing[t >= LEARNED] = 0.0, -1.0
+    x = swinging(1.0 + 0.17 * swing, noise=0.01)
+    x[:, 0] += 0.1 * np.sin(2.0 * np.pi * 1.66 * t) * (t >= LEARNED)
+    assert changes(Watch(1, DT), x) == []
+
+
 def test_lost_and_unusable_samples_are_no_change():
     rng = np.random.default_rng(1)
     x = swinging(np.ones(samples(3000)), noise=0.03)
