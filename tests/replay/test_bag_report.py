@@ -20,7 +20,7 @@ from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
 from koop_lab.plots.report import plot_report
-from koop_lab.recorded.report import costs_of, read
+from koop_lab.recorded.report import costs_of, describe, read
 from koop_loop.metrics import PAPER
 from koop_loop.parameters import make, with_model_beside
 from koopman_lifter.config import shipped_model
@@ -62,18 +62,18 @@ def test_the_metrics_are_those_of_the_recorded_theta(capsys):
     assert result["lost"] == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
 
 
-def guard_state(cause):
+def guard_state(cause="", status=2, reason="", tripped_at=0.0):
     """Return a GuardState, serialized by rosbags."""
     kind, store = LOOP_AND_RIG[GUARD], get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg(load_schema(kind).text.split("=" * 80)[0], kind))
     types, none = store.types, np.empty(0)
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
-    state = types[kind](header, 2, none, cause, "", 0.0, none, none, "", 0)
+    state = types[kind](header, status, none, cause, reason, tripped_at, none, none, "", 0)
     return bytes(store.serialize_cdr(state, kind))
 
 
-def read_guarded(path, told, causes):
-    """Write the golden run with a command, told(k, theta), and causes of a guard; read it."""
+def read_guarded(path, told, said):
+    """Write the golden run with a command, told(k, theta), and what a guard said; read it."""
     with BagReader(RUN / "bag") as reader, BagWriter(path) as writer:
         number = {name: writer.add_topic(name, load_schema(k)) for name, k in LOOP_AND_RIG.items()}
         answers = enumerate(read_loop(RUN / "bag").theta)
@@ -83,8 +83,8 @@ def read_guarded(path, told, causes):
                 k, theta = next(answers)
                 command = struct.pack("<Id", 256, told(k, theta))
                 writer.write(number["/rig/theta"], message.log_time, 0, command)
-                if k in causes:
-                    data = guard_state(causes[k])
+                if k in said:
+                    data = guard_state(**said[k])
                     writer.write(number[GUARD], message.log_time, 0, data)
     return read_loop(path, "/", [parse_source("/rig/theta:data")])
 
@@ -93,7 +93,7 @@ def test_a_limit_of_the_controller_counts_only_while_the_guard_follows_it(tmp_pa
     whole = read_loop(RUN / "bag")
     tripped = round(np.median(np.flatnonzero(whole.saturated)))
     told = lambda k, theta: theta if k < tripped else 0.5  # noqa: E731 - 0.5: theta_safe
-    guarded = read_guarded(tmp_path / "bag", told, {tripped: Cause.BEYOND.value})
+    guarded = read_guarded(tmp_path / "bag", told, {tripped: {"cause": Cause.BEYOND}})
     assert np.isfinite(guarded.theta[1:]).all()  # nothing was commanded before the first state
     at_limit = np.flatnonzero(guarded.saturated)
     assert at_limit.size > 10
@@ -104,12 +104,30 @@ def test_a_limit_of_the_controller_counts_only_while_the_guard_follows_it(tmp_pa
 def test_the_way_to_theta_safe_at_the_end_is_not_the_loops(tmp_path):
     whole = read_loop(RUN / "bag").theta.ravel()
     end = whole.size - 200
-    causes = {end: Cause.ENDED.value, end + 50: Cause.ENDED.value}
+    said = {end: {"cause": Cause.ENDED}, end + 50: {"cause": Cause.ENDED}}
     told = lambda k, theta: theta if k < end else 0.5  # noqa: E731
-    guarded = read_guarded(tmp_path / "bag", told, causes)
+    guarded = read_guarded(tmp_path / "bag", told, said)
     known = np.flatnonzero(np.isfinite(guarded.theta))
     assert abs(known.size - end) <= 2
     assert guarded.theta[known].ravel() == pytest.approx(whole[known - 1])  # told before the state
+
+
+def test_a_trip_is_told_and_nothing_is_compared_with_what_the_guard_held(tmp_path):
+    size = read_loop(RUN / "bag").theta.size
+    reason = "x = 9 is beyond its limit 8"
+    trip = {"cause": Cause.BEYOND, "reason": reason, "tripped_at": -3600.0}
+    back = {"cause": Cause.BEYOND, "status": 1}
+    until_the_end = {round(0.6 * size): trip}
+    read_guarded(tmp_path / "tripped", lambda k, theta: theta, until_the_end)
+    text = describe(read(tmp_path / "tripped"))
+    assert re.match(rf"the guard tripped at 20\d\d-\S+ \S+: {reason}; still tripped", text)
+    assert re.search(r"x\[0\] +[\d.]+ +- +-\n", text)
+    assert "theta at the end: not recorded, or held by the guard" in text
+    rearmed = until_the_end | {round(0.65 * size): back}
+    read_guarded(tmp_path / "rearmed", lambda k, theta: theta, rearmed)
+    text = describe(read(tmp_path / "rearmed"))
+    assert f"{reason}; rearmed at 20" in text
+    assert re.search(r"x\[0\] +[\d.]+ +[\d.]+ +[\d.]+ %\n", text)
 
 
 def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, capsys):

@@ -141,7 +141,7 @@ def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, caps
     printed = capsys.readouterr().out
     assert "the figures cover 57.91 of 100 s only" in printed  # and the second that it is held
     assert "it is there from 0 to 57.9 s" in printed
-    assert "theta: not recorded at the end" in printed
+    assert "theta at the end: not recorded" in printed
     assert main(["bag", "metrics", str(bag), *options, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["coverage"]["covered"] == pytest.approx(57.9, abs=0.02)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_core.config.fields import MAX_FIELDS, Source
 from koop_core.errors import InputError
-from koop_guard.guard import Cause
+from koop_guard.guard import Cause, Status
 from koop_identify.recording.loaded import theta_at
 from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages, of_knobs
 
@@ -27,9 +28,22 @@ FIELDS = {
     "theta": ["step", "theta", "saturated"],
     "ground_truth": ["step", "x"],
 }
+GUARD = ["status", "cause", "reason", "tripped_at", STAMP, "log_time"]
 BY_ROW = (
-    "step", "measured", "ground_truth", "r", "theta", "saturated", "answered",
+    "step", "measured", "ground_truth", "r", "theta", "saturated", "answered", "tripped",
 )  # fmt: skip
+
+
+class Trips(NamedTuple):
+    """How often a guard tripped, and the last time: why, when, when rearmed [s since the epoch].
+
+    NaN: it was not rearmed.
+    """
+
+    times: int
+    reason: str
+    when: float
+    rearmed: float
 
 
 @dataclass(frozen=True)
@@ -63,6 +77,10 @@ class LoopRecord:
         How often the steps of the states begin.
     recorded_steps : int
         Steps from the first to the last state, of all runs together.
+    tripped : ndarray of bool, shape (M,)
+        Whether the guard held theta, tripped.
+    trips : Trips or None
+        What tripped it; None if nothing did.
     """
 
     step: NDArray[np.int64]
@@ -79,6 +97,8 @@ class LoopRecord:
     measured_dt: float
     passes: int
     recorded_steps: int
+    tripped: NDArray[np.bool_]
+    trips: Trips | None
 
     @property
     def duration(self) -> float:
@@ -136,21 +156,29 @@ def read_loop(bag: Path, namespace: str = "/", commands: Sequence[Source] = ()) 
             if topic in present:
                 columns[name] = _columns(reader, topic, [*names, "log_time"])
         if commands and {c.topic for c in commands} <= {*present} - {f"{base}/theta"}:
-            theta = theta_at(reader, f"{base}/state", commands)
-            theta[columns["state"]["log_time"] > _ended(reader, f"{base}/koop_guard/state")] = (
-                np.nan
-            )
-            columns["state"]["commanded"] = theta
-    return _align(columns, inactive)
+            columns["state"]["commanded"] = theta_at(reader, f"{base}/state", commands)
+        trips = None
+        if (topic := f"{base}/koop_guard/state") in present:
+            trips = _take_guard(columns["state"], read_columns(reader, topic, GUARD))
+    return _align(columns, inactive, trips)
 
 
-def _ended(bag: BagReader, topic: str) -> float:
-    """Return when a guard was told that the loop ends [ns]; infinite if it was not."""
-    if not any(each.name == topic and each.count for each in bag.topics):
-        return math.inf
-    states = read_columns(bag, topic, ["cause", "log_time"])
-    ends = states["log_time"][states["cause"] == Cause.ENDED.value]
-    return int(ends.min()) if ends.size else math.inf
+def _take_guard(state: Columns, guard: Columns) -> Trips | None:
+    """Note at the states when the guard held theta, and forget theta from the loop's end on."""
+    ended, times = guard["cause"] == Cause.ENDED.value, guard["log_time"].astype(np.int64)
+    if ended.any() and "commanded" in state:
+        state["commanded"][state["log_time"] > times[ended].min()] = np.nan
+    tripped = (guard["status"] == Status.TRIPPED) & ~ended
+    if not tripped.any():
+        return None
+    at = np.searchsorted(times, state["log_time"].astype(np.int64), "right") - 1
+    state["tripped"] = (at >= 0) & tripped[at]
+    last = int(np.flatnonzero(tripped)[-1])
+    later = times[last:][guard["status"][last:] == Status.FOLLOWING]
+    ago = 1e-9 * guard[STAMP][last] - guard["tripped_at"][last]
+    how_often = np.unique(guard["tripped_at"][tripped].round(1)).size
+    rearmed = 1e-9 * later[0] if later.size else math.nan
+    return Trips(how_often, guard["reason"][last], 1e-9 * times[last] - ago, rearmed)
 
 
 def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
@@ -168,7 +196,9 @@ def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
     return {**columns, "x": x[:, :n]}
 
 
-def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
+def _align(
+    columns: dict[str, Columns], inactive: dict[str, int], trips: Trips | None
+) -> LoopRecord:
     """Look up the topics' values by the steps of the states.
 
     Steps that passed while a node was inactive, by topic, are not lost.
@@ -214,6 +244,8 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
         _measured_dt(columns["state"]),
         int(number[-1]),
         int((every[last] - every[first] + 1).sum()),
+        messages["state"].at(rows, "tripped", False).astype(np.bool_),
+        trips,
     )
 
 

@@ -58,7 +58,7 @@ def metrics_table(metrics: Metrics, cost: str, duration: float) -> str:
 def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
     """Return what a run says of a rig without a known optimum: amplitudes, theta."""
     rows = [
-        [name, f"{before:.4g}", f"{after:.4g}", f"{100.0 * share:.1f} %"]
+        [name, _known(before, ".4g"), _known(after, ".4g"), _known(100.0 * share, ".1f", " %")]
         for name, before, after, share in zip(
             names, metrics.before, metrics.after, metrics.reduction, strict=True
         )
@@ -74,7 +74,7 @@ def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
         "",
     ]
     if metrics.theta_mean is None:
-        return "\n".join([*lines, "theta: not recorded at the end"])
+        return "\n".join([*lines, "theta at the end: not recorded, or held by the guard"])
     settled = metrics.settled_at
     lines.append(
         "theta has not settled: it came into its final swing only at the end"
@@ -89,6 +89,10 @@ def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
         + ("an unknown share of the time" if limit is None else f"{100.0 * limit:.1f} % of the run")
     )
     return "\n".join(lines)
+
+
+def _known(value: float, form: str, unit: str = "") -> str:
+    return "-" if math.isnan(value) else f"{value:{form}}{unit}"
 
 
 def _optional(value: float | None, form: str, absent: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source, parse_sources
 from koop_core.errors import InputError
-from koop_identify.recording.loop import LoopRecord
+from koop_identify.recording.loop import LoopRecord, Trips
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, loop_signals, read_signals
@@ -149,13 +150,21 @@ def _commanded(text: str, namespace: str) -> list[Source]:
 
 
 def rig_metrics_of(
-    signals: Signals, start: float | None = None
+    run: RecordedRun, start: float | None = None
 ) -> tuple[RigMetrics, tuple[str, ...]]:
-    """Return the metrics that need no theta*, and the names of their channels."""
+    """Return the metrics that need no theta*, and the names of their channels.
+
+    What was measured while the guard held theta, tripped, is not the loop's.
+    """
+    signals = run.signals
     true = tuple(f"true {name}" for name in signals.names)
     true = true if signals.ground_truth.shape[1] == len(true) else ()
     channels = np.hstack((signals.x, signals.ground_truth[:, : len(true)]))
-    theta = signals.theta if signals.has_theta else None
+    theta = signals.theta.copy() if signals.has_theta else None
+    if run.loop is not None:
+        channels[run.loop.tripped] = np.nan
+        if theta is not None:
+            theta[run.loop.tripped] = np.nan
     metrics = rig_metrics(signals.t, channels, theta, signals.limited, start)
     return metrics, signals.names + true
 
@@ -163,7 +172,7 @@ def rig_metrics_of(
 def figures(run: RecordedRun, start: float | None = None) -> dict[str, Any]:
     """Return all figures of a run, in JSON terms; the rig's leave out what is before ``start``."""
     signals, loop, metrics = run.signals, run.loop, run.metrics
-    rig, names = rig_metrics_of(signals, start)
+    rig, names = rig_metrics_of(run, start)
     result: dict[str, Any] = {"steps": int(signals.t.size), "dt": signals.dt}
     if loop is not None:
         result |= {"steps": loop.counts["state"], "lost": loop.lost}
@@ -182,9 +191,11 @@ def figures(run: RecordedRun, start: float | None = None) -> dict[str, Any]:
 def describe(run: RecordedRun, start: float | None = None) -> str:
     """Return in words and tables what a run achieved."""
     signals, loop, metrics = run.signals, run.loop, run.metrics
-    rig, names = rig_metrics_of(signals, start)
+    rig, names = rig_metrics_of(run, start)
     duration = float(signals.t[-1] - signals.t[0]) + signals.dt
     lines = [metrics_table(metrics, run.cost, duration), ""] if metrics is not None else []
+    if loop is not None and loop.trips is not None:
+        lines += [describe_trips(loop.trips), ""]
     lines += [rig_table(rig, names), ""]
     if loop is not None:
         lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)
@@ -195,6 +206,20 @@ def describe(run: RecordedRun, start: float | None = None) -> str:
     else:
         lines.append(f"{signals.t.size} states, one each {signals.dt:g} s ({signals.way})")
     return "\n".join([*lines, describe_coverage(run)])
+
+
+def describe_trips(trips: Trips) -> str:
+    """Return in words how often the guard tripped, why, and whether it was rearmed."""
+    when, rearmed = (
+        time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(at)) if np.isfinite(at) else ""
+        for at in (trips.when, trips.rearmed)
+    )
+    often = "" if trips.times == 1 else f" {trips.times} times, last"
+    left = f"rearmed at {rearmed}" if rearmed else "still tripped at the end"
+    return (
+        f"the guard tripped{often} at {when}: {trips.reason}; {left}\n"
+        "what was measured while it was tripped is left out below"
+    )
 
 
 def describe_coverage(run: RecordedRun) -> str:
