@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 from koop_core.config.fields import check_fields
 from koop_core.errors import KoopError, LiveError
+from koop_core.stream.report import GHOST
 from koop_node.client.alone import DISCOVERY
 from koop_node.client.client import Client
 from koop_node.node.graph import full_name, message_type_of, publishers_of, subscribers_of
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
-LEASE = 21.0  # [s] after which DDS forgets a participant that was killed
 HIDDEN = ("/rosout", "/parameter_events", "/diagnostics", "/clock", "/tf", "/tf_static")
 
 
@@ -69,7 +69,7 @@ def describe_other_commanders(client: Client, rig: RigFile) -> str:
     """Return in words that others command the rig; empty: none does."""
     for source in rig.command_sources:
         if names := sorted(set(find_nodes(client, source.topic)[0])):
-            return f"{source.topic} is commanded by {', '.join(names)}: stop that"
+            return f"{source.topic} is commanded by {', '.join(names)}: stop that ({GHOST})"
     return ""
 
 
@@ -80,7 +80,7 @@ def describe_second_rig(client: Client, rig: RigFile) -> str:
         return ""
     return (
         f"{rig.measured_source.topic} is published by {' and '.join(names)}: stop all but the rig "
-        f"(a killed program is listed for {LEASE:g} s)"
+        f"({GHOST})"
     )
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 from koop_core.stream.age import AgeMeter
 from koop_core.stream.arrival import NOTHING, Arrival, Heard, classify, timeout_of
-from koop_core.stream.report import ERROR, OK, STALE, WARN, NodeFinding
+from koop_core.stream.report import ERROR, GHOST, OK, STALE, WARN, NodeFinding
 from koop_core.stream.settings import STREAM
 
 LARGEST = 2**63 - 2
@@ -179,7 +179,8 @@ class StreamMonitor:
         for text in unheard:
             yield NodeFinding(ERROR, text)
         if publishers > 1:
-            yield NodeFinding(ERROR, f"{publishers} publishers on '{self.topic}'")
+            text = f"{publishers} publishers on '{self.topic}' ({GHOST})"
+            yield NodeFinding(ERROR, text)
         if unusable:
             yield NodeFinding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
         if math.isnan(self._heard) and not unheard:

@@ -12,6 +12,8 @@ LEVELS = ("OK", "WARN", "ERROR", "STALE")  # in the order of diagnostic_msgs/Dia
 OK, WARN, ERROR, STALE = range(len(LEVELS))
 _URGENCY = (OK, WARN, STALE, ERROR)  # a broken input asks for more than a silent one
 
+GHOST = "one that was killed is listed for up to 20 s"  # by DDS: its lease
+
 
 class NodeFinding(NamedTuple):
     """One thing that a node found, with its level."""

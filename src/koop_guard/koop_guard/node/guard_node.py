@@ -17,6 +17,7 @@ from koop_core.config.fields import check_fields
 from koop_core.config.knobs import format_knobs
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
+from koop_core.stream.report import GHOST
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard, Status, Trip
 from koop_guard.node.alarm import Alarm
@@ -317,14 +318,14 @@ class GuardRun(Run):
             ):
                 if len(infos) > 1:
                     names = " and ".join(map(full_name, infos))
-                    guard.note(cause, f"{topic} is published by {names}", now)
+                    guard.note(cause, f"{topic} is published by {names} ({GHOST})", now)
         mine = node.get_fully_qualified_name()
         for topic in self._topics:
             commanding = [full_name(info) for info in publishers_of(node, topic)]
             if mine in commanding:
                 commanding.remove(mine)
                 if commanding:
-                    text = f"{topic} is also commanded by {', '.join(commanding)}"
+                    text = f"{topic} is also commanded by {', '.join(commanding)} ({GHOST})"
                     guard.note(Cause.OTHER, text, now)
         if not (controllers or self._to_target) and guard.status is Status.FOLLOWING:
             guard.note(Cause.INACTIVE, "the controller is inactive or has ended", now)
