@@ -1,7 +1,13 @@
-"""``koop up``: what it says of a run."""
+"""``koop up`` and ``koop status``: what they say of a run."""
+
+import os
+import threading
 
 from koop_bringup.live.monitor import Progress
+from koop_lab.cli.main import main
 from koop_lab.commands.up import StatusLine
+from koop_node.client.alone import PREFIX, claimed
+from koop_node.client.desk import Desk
 
 
 def test_a_node_that_has_not_reported_is_said_to_be_starting(capsys):
@@ -16,3 +22,22 @@ def test_a_node_that_has_not_reported_is_said_to_be_starting(capsys):
     status._time = float("-inf")  # as a second later
     status.show(progress)
     assert capsys.readouterr().out.endswith(f"{guard}\n")
+
+
+def test_a_loop_without_a_guard_is_not_rearmed(tmp_path, capsys):
+    answer = {"healthy": True, "text": "", "places": [str(tmp_path)], "guarded": False}
+    over = threading.Event()
+    with claimed(f"{PREFIX}99/test{os.getpid()}") as (_, place):
+        desk = Desk(place)
+
+        def serve():
+            while not over.is_set():
+                desk.answer(lambda: answer)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        code = main(["status", str(tmp_path), "--rearm"])
+        over.set()
+        thread.join()
+    assert code == 2
+    assert "has no guard that could be rearmed" in capsys.readouterr().err

@@ -212,7 +212,8 @@ class LiveNodes:
             progress, faults, self._values, self.folder, recorded, now - self._begun
         )
         places = [str(path.resolve()) for path in (self.folder, self.file) if path is not None]
-        return {"healthy": not faults, "text": text, "places": places}
+        guarded = "koop_guard" in self._values
+        return {"healthy": not faults, "text": text, "places": places, "guarded": guarded}
 
     def _close_desk(self) -> None:
         if self._desk is not None:

@@ -57,7 +57,10 @@ def main(args: argparse.Namespace) -> int:
     if args.stop:
         return _stop(_one_of(answers))
     if args.rearm:
-        return _rearm(_one_of(answers))
+        name = _one_of(answers)
+        if not answers[name].get("guarded", True):  # of ros2 launch it is not known
+            raise LiveError(f"{_describe(name)}: has no guard that could be rearmed")
+        return _rearm(name)
     for name, answer in answers.items():
         process = f", process {answer['pid']} of user {answer['user']}" if "pid" in answer else ""
         print(f"{_describe(name)}{process}\n{answer['text']}")
