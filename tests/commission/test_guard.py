@@ -634,7 +634,7 @@ def test_service_manager_any_terminal_and_the_page_are_told_how_the_loop_is(
     wait(lambda: says("tripped: ~/trip was called"), "the trip", process, LONG)
     code, text = asked("run")
     assert (code, "recorder has ended" in text) == (1, True)
-    assert re.search(r"tripped: ~/trip was called, at 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d; ", text)
+    assert re.search(r"tripped: ~/trip was called, at 20\d\d-\d\d-\d\d \d\d:\d\d:\d\d", text)
     wait(lambda: "rearm it: koop status --rearm" in asked("run")[1], "theta_safe", process, LONG)
     code, text = asked("run", "--rearm")
     assert (code, "rearmed, the controller begins again" in text) == (0, True)

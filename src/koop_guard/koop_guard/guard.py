@@ -286,7 +286,7 @@ class Guard:
         if self.status is not Status.TRIPPED:
             return "the guard has not tripped"
         if lasting := self._lasting(now):
-            return next(iter(lasting.values()))
+            return "; ".join(lasting.values())
         where = format_knobs(self.theta, ".4g")
         return "" if self.at_safe else f"theta = {where} still returns to theta_safe"
 

@@ -243,9 +243,11 @@ def test_a_rearm_is_refused_while_the_cause_lasts_and_theta_goes_on_from_theta_s
     loop = Loop()
     loop.run(1.0)
     guard = loop.run(DT, x=lambda k: 5.0)
-    assert guard.refusal(loop.now) == "x = 5 is beyond its limit 3"
+    guard.note(Cause.OTHER, "/r/t is also commanded by /x", loop.now)
+    all_that_lasts = "x = 5 is beyond its limit 3; /r/t is also commanded by /x"
+    assert guard.refusal(loop.now) == all_that_lasts
     loop.run(CALM - 0.1)
-    assert guard.refusal(loop.now) == "x = 5 is beyond its limit 3"
+    assert guard.refusal(loop.now) == all_that_lasts
     loop.run(0.2)
     assert guard.refusal(loop.now) == ""
     guard.rearm(loop.now, True)

@@ -24,6 +24,20 @@ def test_a_node_that_has_not_reported_is_said_to_be_starting(capsys):
     assert capsys.readouterr().out.endswith(f"{guard}\n")
 
 
+def test_what_refuses_a_rearm_now_is_said_first_and_at_once(capsys):
+    status = StatusLine([])
+    findings = {"relay_esc": "relay_esc WARN: 2 missed", "koop_guard": "koop_guard ERROR: tripped"}
+    progress = Progress(values={"koop_guard": {"rearm_refused": ""}}, findings=findings)
+    status.show(progress)
+    assert capsys.readouterr().out.endswith("koop_guard ERROR: tripped; relay_esc WARN: 2 missed\n")
+    status._time -= 1.5  # sooner than what lasts is said again
+    status.show(progress)
+    assert capsys.readouterr().out == ""
+    progress.values["koop_guard"]["rearm_refused"] = "x = 9 is beyond its limit 8"
+    status.show(progress)
+    assert "tripped" in capsys.readouterr().out
+
+
 def test_a_loop_without_a_guard_is_not_rearmed(tmp_path, capsys):
     answer = {"healthy": True, "text": "", "places": [str(tmp_path)], "guarded": False}
     over = threading.Event()

@@ -46,7 +46,7 @@ def judge_health(
         if node not in lost and now - progress.heard.get(node, -math.inf) > HEALTH.silent:
             faults.append(f"{node} is silent")
     guard = progress.values.get("koop_guard", {})
-    for node, text in progress.findings.items():
+    for node, text in progress.told.items():
         of_guard = node == "koop_guard" and guard.get("status") != "following"
         if of_guard or progress.levels[node] > WARN:
             faults.append(text)

@@ -44,6 +44,11 @@ class Progress:
     heard: dict[str, float] = field(default_factory=dict)
     changed: dict[str, dict[str, Any]] = field(default_factory=dict)
 
+    @property
+    def told(self) -> dict[str, str]:
+        """Findings, the guard's first: what it does with the rig matters most."""
+        return dict(sorted(self.findings.items(), key=lambda item: item[0] != "koop_guard"))
+
 
 class Monitor(Client):
     """Listens to what is said rarely: watching must not cost the loop any speed.

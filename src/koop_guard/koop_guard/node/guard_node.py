@@ -204,11 +204,13 @@ class GuardRun(Run):
             values |= {"cause": trip.cause.value, "reason": trip.reason, "tripped_x": list(trip.x)}
         if guard.status is Status.TRIPPED and trip is not None:
             refusal = guard.refusal(time.monotonic())
-            by_hand = "rearm it: koop status --rearm, or the page"
-            remedy = f"no rearm: {refusal}" if refusal else by_hand
             then = time.localtime(trip.when + self._epoch)
             when = time.strftime("%Y-%m-%d %H:%M:%S", then)  # it may have been in an earlier run
-            return ERROR, f"tripped: {trip.reason}, at {when}; {remedy}", values
+            why = f"tripped: {trip.reason}, at {when}"
+            values["rearm_refused"] = refusal
+            if refusal:
+                return ERROR, f"no rearm now: {refusal}; {why}", values
+            return ERROR, f"{why}; rearm it: koop status --rearm, or the page", values
         if guard.status is Status.WAITING:
             return WARN, "nothing is commanded: the controller has not answered yet", values
         if twin is not None and not twin.shared.ready:

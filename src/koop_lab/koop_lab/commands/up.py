@@ -170,11 +170,12 @@ class StatusLine:
         now = time.monotonic()
         levels = {node: text.partition(":")[0] for node, text in progress.findings.items()}
         silent = [node for node in self._nodes if node not in progress.heard]
-        news = (bool(progress.values), progress.step > 0, levels, silent)
+        refused = progress.values.get("koop_guard", {}).get("rearm_refused", "")
+        news = (bool(progress.values), progress.step > 0, levels, silent, bool(refused))
         if now < self._time + (STATUS if news == self._said else 1.0):
             return
         self._said, self._time = news, now
-        findings = list(progress.findings.values())
+        findings = list(progress.told.values())
         if silent and progress.values:
             findings.append(f"{', '.join(silent)}: starting, which after an update takes a minute")
         level = "; ".join(findings)
