@@ -10,7 +10,7 @@ from surrogate_rigs import make_cost, make_findings, make_map
 from koop_tune.result.as_text import as_table
 from koop_tune.result.summary import summarise_refusal
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.findings import NoOptimum, decide
+from koop_tune.search.findings import NoOptimum, decide, find_corners
 from koop_tune.search.settings import TUNING
 
 RIG = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
@@ -96,3 +96,11 @@ def test_a_cost_in_doubt_must_lead_to_where_the_amplitude_does():
     wrong = make_cost("raw", lambda u: one_sided(u + 0.35), error=0.08, reference=sharp)
     with pytest.raises(NoOptimum, match="no cost shows it"):
         judge(sharp, wrong)
+
+
+def test_no_corner_frequency_is_beyond_half_of_the_sampling_rate():
+    """As of a mill that chatters at 19.2 Hz and is measured at 250 Hz."""
+    dt = 0.004
+    corners = find_corners(TUNING.highpass, 0.052, dt)
+    assert corners[:2] == pytest.approx([2.0 * np.pi / 0.052, 6.0 * np.pi / 0.052])
+    assert corners[2:] == pytest.approx([np.pi / dt] * 2)

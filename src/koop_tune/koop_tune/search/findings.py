@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -159,8 +160,7 @@ def analyse(
     for cost in costs(loaded, training, period, settings.learned):
         maps = {}
         if cost.y_out is not None:
-            for factor in settings.highpass:
-                omega_h = factor * 2.0 * math.pi / period
+            for omega_h in find_corners(settings.highpass, period, dt):
                 levels = dwells.window_levels(high_pass(cost.y_out, loaded, omega_h, dt))
                 maps[omega_h] = dwells.static_map(levels, rig.sense)
         candidates.append(CostMaps(cost, maps, static_map, settings.near))
@@ -173,6 +173,11 @@ def analyse(
         speed=static_map.motion / max(float(np.ptp(dwells.middles)) * dt, dt),
     )  # fmt: skip
     return decide(findings, rig, settings)
+
+
+def find_corners(factors: Sequence[float], period: float, dt: float) -> list[float]:
+    """Return the omega_h that are tried [rad/s]: beyond half of the sampling rate there is none."""
+    return [min(factor * 2.0 * math.pi / period, math.pi / dt) for factor in factors]
 
 
 def _find_best(
