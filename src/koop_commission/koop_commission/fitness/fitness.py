@@ -131,7 +131,10 @@ def describe_lines(name: str, peaks: Sequence[Line]) -> Finding:
     first, *others = [f"{p.frequency:.3g} Hz (amplitude {p.amplitude:.3g})" for p in peaks]
     text = f"{name} strongest at {first}"
     if others:
-        text += f", also at {', '.join(others)}: a line that theta does not change is interference"
+        text += (
+            f", also at {', '.join(others)}: 'koop excite' finds which of them theta changes; the "
+            "others are interference and do not count"
+        )
     return Finding(OK, "spectrum", text)
 
 
