@@ -17,7 +17,6 @@ from koop_tune.result.tune_result import AmplitudeMap, ControllerResult, Points,
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
     LITTLE,
-    describe_run,
     find_disagreements,
     find_faults,
     measure,
@@ -106,7 +105,6 @@ def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
     assert actual.reduction == pytest.approx(4.0, rel=0.12)
     assert actual.time_to_converge is not None
     assert find_faults(aim, [actual]) == []
-    assert "rises by a factor of" in describe_run(aim, actual, [3.0])
     weak = replace(actual, amplitude=2.0, excess=2.0, reduction=2.0)
     assert "times the best known" in find_faults(aim, [weak])[0]
 
@@ -142,9 +140,9 @@ def test_each_of_what_damped_means_is_asked_of_every_loop(aim, good, change, mes
 
 def test_where_the_map_lacks_what_moves_theta_is_not_left_at_its_best(aim, good):
     grown = replace(good, new=1.3, new_at=3.3)
-    assert "leave theta at theta_safe" in verdict(aim, [grown, good], [[-1.0], [3.0]], 3, "there")
+    assert "leave theta at theta_safe" in verdict(aim, [grown, good], 3, "there")
     weak = replace(good, amplitude=1.7)
-    assert "leave theta at 0.7, " in verdict(aim, [weak, good], [[-1.0], [3.0]], 3, "there")
+    assert "leave theta at 0.7, " in verdict(aim, [weak, good], 3, "there")
 
 
 @pytest.mark.parametrize(("worse", "good"), [(1.0, True), (1.8, False), (None, False)])
@@ -250,9 +248,9 @@ def test_only_what_is_worse_than_the_band_disagrees(aim, good, change, message):
     worse = replace(good, **change)
     actual = find_disagreements(aim, worse)
     assert actual == [] if message is None else (len(actual) == 1 and message in actual[0])
-    said = verdict(aim, [good, worse], [[-1.0], [3.0]], 1, "there")
+    said = verdict(aim, [good, worse], 1, "there")
     ending = "damped as predicted" if message is None else "damped, but not as predicted"
-    assert f"The rig is {ending}" in said
+    assert said.startswith(f"The rig is {ending}")
     assert "./koop up there runs it." in said
     assert said.count(aim.name) == 1
 
@@ -260,19 +258,19 @@ def test_only_what_is_worse_than_the_band_disagrees(aim, good, change, message):
 def test_a_figure_outside_the_band_that_errors_allow_is_named(aim, good):
     near = replace(good, error=0.1, excess=1.2, reduction=4.0)  # 1.05 exp(0.2) = 1.28
     assert find_disagreements(aim, near) == []
-    said = verdict(aim, [good, near], [[-1.0], [3.0]], 1, "there")
+    said = verdict(aim, [good, near], 1, "there")
     assert "damped about as predicted, the band missed by errors at most (ended at" in said
     assert "1.2 times the best amplitude, at most 1.05 were predicted): ./koop up there" in said
     seen = 60.0 + aim.settings.smoothed * aim.window  # a mean of so many windows ends then
     inside = replace(near, excess=1.0, time_to_converge=seen)
-    assert "about" not in verdict(aim, [inside, inside], [[-1.0], [3.0]], 1, "there")
+    assert "about" not in verdict(aim, [inside, inside], 1, "there")
 
 
 def test_nothing_is_damped_that_was_so_at_every_start(aim, good):
     """Of a rig whose optimum is narrow and was missed the map shows noise, and all is near it."""
     little = replace(good, error=0.001, excess=1.0, reduction=1.06)
     far = replace(little, excess=1.1, reduction=1.4)  # 1.54 times the best at first
-    said = verdict(aim, [little, replace(little, reduction=1.49)], [[-1.0], [3.0]], 1, "there")
+    said = verdict(aim, [little, replace(little, reduction=1.49)], 1, "there")
     assert f"The rig is not damped after 1 round: {LITTLE}; leave theta at 0.7, " in said
     assert find_faults(aim, [little, far]) == find_faults(aim, [little, good]) == []
     assert find_faults(replace(aim, error=0.05), [little, far]) == [LITTLE]  # 1.54 exp(-0.05)
@@ -283,49 +281,21 @@ def test_a_part_of_the_amplitude_that_is_far_from_its_own_best_is_named(aim):
     other = one._replace(name="y at 2 Hz", channel=1)
     traded = run(replace(aim, modes=(one,)))  # which ends at 1
     assert traded.modes == pytest.approx([4.0], rel=0.2)
-    said = verdict(replace(aim, modes=(one,)), [traded, traded], [[-1.0], [3.0]], 1, "there")
+    said = verdict(replace(aim, modes=(one,)), [traded, traded], 1, "there")
     found = re.search(
-        r"The rig is damped.*; but the best sum is not the best of each part: better alone is x at "
-        r"2 Hz \(20 to 90 % of its square\) by a factor of (\S+) at theta = 2.5\.$",
+        r"^The rig is damped.*\n.*\nThe best sum is not the best of each part: better alone is "
+        r"x at 2 Hz \(20 to 90 % of its square\) by a factor of (\S+) at theta = 2.5\.$",
         said,
     )
     assert float(found[1]) == pytest.approx(4.0, rel=0.2)
     near = replace(traded, modes=(1.4,))
-    assert "better" not in verdict(replace(aim, modes=(one,)), [near], [[3.0]], 1, "there")
+    assert "better" not in verdict(replace(aim, modes=(one,)), [near], 1, "there")
     both = [replace(traded, modes=(1.0, 3.0)), replace(traded, modes=(1.6, 2.0))]
-    said = verdict(replace(aim, modes=(one, other)), both, [[-1.0], [3.0]], 1, "there")
+    said = verdict(replace(aim, modes=(one, other)), both, 1, "there")
     assert said.index("y at 2 Hz (20 to 90 % of its square) by a factor of 3 at") < said.index(
         "x at 2 Hz (20 to 90 % of its square) by a factor of 1.6 at"
     )
     assert said.endswith("theta = 2.5; 'weights' in the rig file ask for another sum.")
-
-
-def factor(text):
-    """Return the factor by which a description says that the amplitude falls or rises."""
-    return float(re.search(r"(?:falls|rises) by a factor of (\S+)", text)[1])
-
-
-@pytest.mark.parametrize("rig", [RIG, UPSIDE])
-@pytest.mark.parametrize("reduction", [0.2, 0.86, 0.97, 1.0, 1.03, 1.08, 4.0])
-def test_words_and_figures_of_a_run_agree(good, rig, reduction):
-    aim = RESULT.make_aim(rig)
-    level = aim.sense * math.log(reduction)  # of before over after
-    after = replace(
-        good, theta=(BEST,), amplitude_before=math.exp(level), amplitude=1.0, reduction=reduction,
-        error=0.02,
-    )  # fmt: skip
-    text = describe_run(aim, after, [3.0])
-    assert text.startswith("From theta = 3 the loop comes to 0.7")
-    falls, rises = ("falls by" in text, "rises by" in text)
-    assert falls == (level > 0.04)
-    assert rises == (level < -0.04)
-    if falls or rises:
-        assert factor(text) == pytest.approx(math.exp(abs(level)), rel=0.01)
-        assert factor(text) > 1.0
-    else:
-        assert "does not change beyond its error" in text
-    never = describe_run(aim, replace(after, time_to_converge=None), [3.0])
-    assert "never near the best" in never
 
 
 def test_a_verdict_says_not_damped_exactly_where_there_are_faults(aim, good):
@@ -342,7 +312,7 @@ def test_a_verdict_says_not_damped_exactly_where_there_are_faults(aim, good):
                 excess=amplitude, reduction=before / amplitude, low=(low,), high=(high,),
                 error=float(rng.uniform(0.0, 0.2)),
             ))  # fmt: skip
-        faults, said = find_faults(aim, runs), verdict(aim, runs, [[-1.0], [3.0]], 2, "there")
+        faults, said = find_faults(aim, runs), verdict(aim, runs, 2, "there")
         assert ("not damped" in said) == bool(faults)
         assert ("The rig is damped" in said) == (not faults)
         assert ("koop up there" in said) == (not faults)
@@ -350,7 +320,7 @@ def test_a_verdict_says_not_damped_exactly_where_there_are_faults(aim, good):
             assert faults[0] in said
             assert "leave theta at 0.7, the best of the map, or" in said  # what to do
             # the same command would say the same
-            assert said.endswith(("choose another --out.", "or widen its limits."))
+            assert said.splitlines()[0].endswith(("choose another --out.", "or widen its limits."))
         else:
             worse = any(find_disagreements(aim, item) for item in runs)
             assert ("not as predicted" in said) == worse

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -54,7 +53,7 @@ def list_stages(c: Contents) -> Iterator[Stage]:
 def write_sentences(c: Contents) -> list[str]:
     """Return the verdict: of the verification, once there is one, else of what is known."""
     if verdict := c.verification.verdict.strip():
-        return re.split(r"(?<=\.) (?=[A-Z])", verdict)
+        return verdict.splitlines()
     following = [] if c.tuned.is_refused else [_describe_next(c)]  # a refusal says what to do
     return [_describe_rig(c), _describe_controller(c), *following]
 

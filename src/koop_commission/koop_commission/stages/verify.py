@@ -55,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
     rig = rig_file.read(args.rig)
     with resumable(rig, f"./koop verify {args.rig} {args.folder}"):
         verification = verify(rig, args.folder, note_of(args.rig))
-    print("\n" + format_round(verification.rounds[-1]) + "\n\n" + verification.verdict)
+    print("\n" + verification.verdict + "\n\n" + format_round(verification.rounds[-1]) + "\n")
     print(try_report(args.folder))
     return 0 if verification.damped else 1
 
@@ -139,8 +139,7 @@ def judge(rig: RigFile, folder: Path, index: int) -> Verification:
 
 def _conclude(rounds: tuple[Round, ...], index: int, aim: Aim, folder: Path) -> Verification:
     runs = [run.measured for run in rounds[index].runs]
-    starts = [run.start for run in rounds[index].runs]
-    text = verdict(aim, runs, starts, len(rounds), str(folder))
+    text = verdict(aim, runs, len(rounds), str(folder))
     verification = Verification(rounds, not find_faults(aim, runs), aim.name, text)
     write_json(folder / VERIFIED, verification)
     return verification

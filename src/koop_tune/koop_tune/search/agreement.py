@@ -373,10 +373,8 @@ def spell(theta: Sequence[float]) -> str:
     return format_knobs(theta, ".4g")
 
 
-def verdict(
-    aim: Aim, runs: Sequence[Measured], starts: Sequence[Sequence[float]], rounds: int, where: str
-) -> str:
-    """Return the verdict of a verification in words.
+def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
+    """Return the verdict of a verification in a few lines: the answer, of what, and at what price.
 
     Parameters
     ----------
@@ -384,15 +382,11 @@ def verdict(
         What was predicted.
     runs : sequence of Measured
         Runs of the last round.
-    starts : sequence of sequence of float
-        Theta at which each began.
     rounds : int
         How many rounds there were.
     where : str
         Folder that ``koop up`` runs.
     """
-    names = [f" of {aim.name}"] + [""] * (len(runs) - 1)  # it may be long: once
-    lines = [describe_run(aim, *items) for items in zip(runs, starts, names, strict=True)]
     faults = find_faults(aim, runs)
     worse = [text for run in runs for text in find_disagreements(aim, run)]
     if faults:
@@ -404,20 +398,21 @@ def verdict(
             advice = f"leave theta at {aim.theta}, the best of the map, or widen its limits"
         if any(_is_new(aim, run) for run in runs):
             advice = "the map lacks that: leave theta at theta_safe"
-        last = (
+        answer = (
             f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; "
             f"{advice}"
         )
     elif worse:
-        last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
+        answer = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
     else:
         outside = {text: None for run in runs for text in find_disagreements(aim, run, 0.0)}
         band = f", the band missed by errors at most ({'; '.join(outside)})" if outside else ""
         how = "about as predicted" if outside else "as predicted"
-        last = f"The rig is damped {how}{band}: ./koop up {where} runs it"
-    if not faults:
-        last += _describe_trade(aim, runs)
-    return " ".join([*lines, last + "."])
+        answer = f"The rig is damped {how}{band}: ./koop up {where} runs it"
+    lines = [answer, f"The amplitude is that of {aim.name}"]
+    if not faults and (trade := _describe_trade(aim, runs)):
+        lines.append(trade)
+    return "\n".join(f"{line}." for line in lines)
 
 
 def _describe_trade(aim: Aim, runs: Sequence[Measured]) -> str:
@@ -433,22 +428,6 @@ def _describe_trade(aim: Aim, runs: Sequence[Measured]) -> str:
     ]
     several = len({mode.channel for mode in aim.modes}) > 1
     return (
-        f"; but the best sum is not the best of each part: better alone is {', '.join(parts)}"
+        f"The best sum is not the best of each part: better alone is {', '.join(parts)}"
         + "; 'weights' in the rig file ask for another sum" * several
-    )
-
-
-def describe_run(aim: Aim, run: Measured, start: Sequence[float], name: str = "") -> str:
-    """Return what a loop did to the amplitude, whose name may follow, in a sentence."""
-    change, doubt = math.log(run.reduction), aim.settings.errors * run.error
-    if abs(change) <= doubt:
-        how = "does not change beyond its error"
-    else:
-        falls = (change > 0.0) == (aim.sense > 0.0)
-        how = f"{'falls' if falls else 'rises'} by a factor of {math.exp(abs(change)):.3g}"
-    took = run.time_to_converge
-    when = "never near the best" if took is None else f"near the best within {took:.3g} s"
-    return (
-        f"From theta = {spell(start)} the loop comes to {spell(run.theta)}, {when}; the "
-        f"amplitude{name} {how} and is {run.excess:.3g} times the best of the map."
     )
