@@ -99,8 +99,8 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     )
     print(
         f"closing the loop from theta = {' and '.join(map(spell, left))}: "
-        f"{aim.duration:.0f} s each, up to {aim.longest:.0f} s where theta settles more slowly; "
-        f"in all {least}, at most {most}; Ctrl-C ends it, theta returns to "
+        f"{aim.duration:.0f} s each where that confirms the prediction, else up to "
+        f"{aim.longest:.0f} s; in all from {least} to {most}; Ctrl-C ends it, theta returns to "
         f"{rig.spell('theta_safe')}",
         flush=True,
     )
