@@ -113,13 +113,13 @@ class Commissioning:
             if rounds and (rounds[-1].damped or number > VERIFICATION.rounds):
                 break
             if rounds:
+                print(verify.format_round(rounds[-1]))
                 print(f"not damped: {rounds[-1].summary}; tuned again, with these recordings")
                 self._set_aside(len(rounds))
             if not self._tune(number):
                 return 1
             self._begin(f"verify, round {number}")
-            verification = verify.verify(self._rig, self._folder, self._note)
-            print(verify.format_round(verification.rounds[-1]))
+            verify.verify(self._rig, self._folder, self._note)
         return self._conclude(rounds)
 
     def _check(self) -> bool:
@@ -177,7 +177,7 @@ class Commissioning:
             self._set_aside(len(rounds))
             old.rename(self._folder / TUNED)
         verification = verify.judge(self._rig, self._folder, index)
-        print("\n" + verification.verdict)
+        print("\n" + verification.verdict + "\n\n" + verify.format_round(rounds[index]) + "\n")
         return 0 if verification.damped else 1
 
     def _begin(self, stage: str) -> None:
