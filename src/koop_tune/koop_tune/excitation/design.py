@@ -96,6 +96,9 @@ class DesignSettings(Settings):
     redefined: float = judged(
         0.1, "change of a reported log amplitude by a new unit that is announced", low=0.0
     )
+    wider: float = judged(
+        4.0, "distance of first positions over the one before, where nothing differed", low=1.1
+    )
     overshoot: float = parameter(0.1, "way beyond, to come back from the other side", low=0.0)
     map: MapSettings = MAP
 
@@ -272,7 +275,8 @@ class Design:
             again, up = "again", self.holds[-1].u < 0.5
             if self._first is not None:
                 again = "further out"
-                wider = 2.0 * np.array(self._first) - np.mean(self._first)
+                middle = float(np.mean(self._first))
+                wider = middle + s.wider * (np.array(self._first) - middle)
                 self._first = np.unique(np.clip(wider, 0.0, 1.0)).tolist()
             self._queue = self._missing(up) or self._positions(up)
             return Move(self._queue[0], why=f"{again}: errors hide the map")
