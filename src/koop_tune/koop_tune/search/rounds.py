@@ -94,7 +94,7 @@ class Verification:
     feature : str
         Amplitude that was measured.
     verdict : str
-        Three sentences.
+        Its lines, the answer first.
     """
 
     rounds: tuple[Round, ...] = ()
