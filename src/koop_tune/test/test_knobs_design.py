@@ -13,7 +13,7 @@ from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_tune.excitation.bowl import fit_bowl
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN
-from koop_tune.excitation.knobs_design import KnobsDesign
+from koop_tune.excitation.knobs_design import KnobsDesign, RecordedHold
 from koop_tune.result.summary import summarise
 from koop_tune.search.settings import TuningSettings
 from koop_tune.search.tune_knobs import cut_section, tune_knobs
@@ -164,6 +164,29 @@ def test_a_knob_that_is_as_good_where_it_is_stays_there_and_no_section_is_gone_o
     assert all(design.lines[0] == design.base)
     first = 2 * DESIGN.first - 1
     assert sum(move.u[0] in (0.0, 1.0) for move in moves[first:]) <= 2
+
+
+def test_holds_of_an_excitation_whose_time_was_over_count_where_it_has_more():
+    """Failed before: with more time they were too short, and theta went everywhere again."""
+    rig, recorded = SimulatedKnobs(diagonal), []
+    rig.noise = 0.4  # each hold is cut at its share of the time
+    design = KnobsDesign(replace(KNOBS, time=600.0))
+    heard = rig.stay(round(DESIGN.shortest / DT))
+    while design.listens(heard):
+        heard = np.concatenate([heard, rig.stay(100)])
+    design.look(heard)
+    while rig.seconds < 600.0 and (move := design.next()) is not None:
+        rig.go(move.u)
+        design.arrive(move, rig.seconds)
+        parts, begin = [], rig.seconds
+        while not parts or not design.take(parts[-1]):
+            parts.append(rig.stay(design.windows.length))
+        recorded.append(RecordedHold(move.u, np.concatenate(parts), begin))
+    again = KnobsDesign(replace(KNOBS, time=3000.0), recorded)
+    again.look(heard)
+    again.next()
+    assert len(recorded) > 15
+    assert len(again.held) > 0.9 * len(recorded)
 
 
 def test_where_no_knob_has_an_effect_that_is_said():

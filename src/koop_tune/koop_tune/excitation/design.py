@@ -562,32 +562,41 @@ class Design:
             settling = max(settling, s.growth * longest_growth(levels, self.rig.sense))
         return math.ceil(settling) + least
 
-    def take(self, x: Array) -> bool:
-        """Take the samples of a window; return whether theta may go on."""
-        s, hold = self._settings, self._hold
+    def take(self, x: Array, ended: bool = False) -> bool:
+        """Take the samples of a window; return whether theta may go on.
+
+        Of a hold that has ``ended``, all samples: whether it is long enough to count.
+        """
+        hold = self._hold
         hold.append(x)
         count = hold.size // self.windows.length
-        if count < max(self._least, self._next):
+        if not (count >= self._settings.brief if ended else self._is_enough(count)):
             return False
-        self._next = count + 1 + int(s.soon * count)
-        if count < self._most:
-            level = hold.level(self.summed, self._usual)
-            if self._brief and self.rig.sense * level.mean + 2.0 * level.error < self._expected:
-                self._brief = False  # a valley, or an oscillation that has not grown yet
-                self._least = min(self._needed_windows(), self._most)
-                return False
-            worse = self.rig.sense * level.mean - self._best
-            enough = max(self._target, worse * s.error_of_worse, s.error_of_gap * self._brief)
-            if level.error > enough or not level.is_settled(s.trend * enough):
-                return False
-            if not self._find_proven([*self.holds, hold], [*self.levels(), level])[-1]:
-                return False
         hold.confirms = self._growth
         self.holds.append(hold)
         if self._queue:
             self._queue.pop(0)
         self._choose()
         return True
+
+    def _is_enough(self, count: int) -> bool:
+        """Return whether a hold of so many windows tells what it should, or took its share."""
+        s, hold = self._settings, self._hold
+        if count < max(self._least, self._next):
+            return False
+        self._next = count + 1 + int(s.soon * count)
+        if count >= self._most:
+            return True
+        level = hold.level(self.summed, self._usual)
+        if self._brief and self.rig.sense * level.mean + 2.0 * level.error < self._expected:
+            self._brief = False  # a valley, or an oscillation that has not grown yet
+            self._least = min(self._needed_windows(), self._most)
+            return False
+        worse = self.rig.sense * level.mean - self._best
+        enough = max(self._target, worse * s.error_of_worse, s.error_of_gap * self._brief)
+        if level.error > enough or not level.is_settled(s.trend * enough):
+            return False
+        return bool(self._find_proven([*self.holds, hold], [*self.levels(), level])[-1])
 
     def _target_error(self) -> float:
         """Return the standard error at which a hold is known well enough."""

@@ -180,7 +180,7 @@ class KnobsDesign:
             if np.abs(recorded.u - move.u).max() < self._of_section.passed:
                 del self._recorded[i]
                 self.arrive(move, recorded.elapsed)
-                return self.take(recorded.x)
+                return self._design.take(recorded.x, ended=True)
         return False
 
     def arrive(self, move: KnobsMove, elapsed: float) -> None:
