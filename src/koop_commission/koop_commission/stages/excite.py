@@ -160,7 +160,7 @@ class Excitation:
         self._listener = session.listener
         self._first, self._before = self._listener.count, state.elapsed
         self._began = time.monotonic()
-        self._design = KnobsDesign(rig, recorded=recorded)
+        self._design, self._earlier = KnobsDesign(rig, recorded=recorded), list(state.holds)
         self._said = math.inf  # log amplitude of the last line, in the unit of then
         session.show = self._show
 
@@ -192,7 +192,9 @@ class Excitation:
         state.windows, state.amplitude = design.windows, design.amplitude
         self._note_time()
         seconds, dt = design.windows.seconds, self._rig.dt
-        state.holds = [
+        left = [recorded.u.tolist() for recorded in design.recorded]
+        state.holds = [hold for hold in self._earlier if rig.u(hold.theta).tolist() in left]
+        state.holds += [
             HoldSummary(
                 rig.theta_at(u), level.mean, min(level.error, 10.0), level.skip * seconds,
                 hold.x.shape[0] * dt, hold.why,
@@ -303,19 +305,18 @@ class Excitation:
 
 
 def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[RecordedHold]:
-    """Return the holds that an interrupted excitation recorded, in order."""
+    """Return the holds that an interrupted excitation recorded."""
     if not state.holds:
         return []
     loaded, _ = load_since(list_bags(folder, rig, state), rig, state)
     assert loaded.theta is not None
-    u, end, recorded = rig.u(loaded.theta.reshape(-1, rig.count)), 0, []
+    u, recorded = rig.u(loaded.theta.reshape(-1, rig.count)), []
     for hold in state.holds:
         on = np.abs(u - rig.u(hold.theta)).max(axis=1) < DWELLS.same
-        on[:end] = False
         edges = np.flatnonzero(np.diff(np.r_[False, on, False].astype(np.int8)))
         for begin, after in edges.reshape(-1, 2):
             if (after - begin) * rig.dt >= ENOUGH * hold.seconds:
-                x, end = loaded.x[:, begin:after].T, after
+                x, u[begin:after] = loaded.x[:, begin:after].T, np.nan  # no other hold's
                 recorded.append(RecordedHold(rig.u(hold.theta), x, state.since + begin * rig.dt))
                 break
     return recorded

@@ -99,6 +99,8 @@ class KnobsDesign:
         The rig; its time may be set longer.
     ended : str
         As a Design's.
+    recorded : list of RecordedHold
+        What an interrupted one recorded where theta was not to go yet.
     sections : dict of int to list of Hold
         Holds of each knob that has an effect through the best, their ``u`` the knob's position.
     lines : dict of int to ndarray, shape (n,)
@@ -114,7 +116,7 @@ class KnobsDesign:
         self.base = self._start = rig.u(rig.each("theta_start"))
         self._useful = list(range(rig.count))
         self._of_section = replace(DESIGN, gap=KNOBS.gap) if rig.count > 1 else DESIGN
-        self._recorded, self._arrivals = list(recorded), 0
+        self.recorded, self._arrivals = list(recorded), 0
         self._done: list[tuple[Hold, Array]] = []
         self._look_along(0, self.base)
         self._design = Design(rig.knob(0), settings=self._of_section)
@@ -176,9 +178,9 @@ class KnobsDesign:
 
     def _take_recorded(self, move: KnobsMove) -> bool:
         """Take the hold that was recorded there; return False if none was, or a short one."""
-        for i, recorded in enumerate(self._recorded):
+        for i, recorded in enumerate(self.recorded):
             if np.abs(recorded.u - move.u).max() < self._of_section.passed:
-                del self._recorded[i]
+                del self.recorded[i]
                 self.arrive(move, recorded.elapsed)
                 return self._design.take(recorded.x, ended=True)
         return False
