@@ -360,6 +360,17 @@ def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
     assert amplitude.period(means) == amplitude.period(means[:2]) == pytest.approx(1 / 3, rel=0.1)
 
 
+def test_a_drift_that_reacts_has_no_period_and_that_of_the_oscillation_is_told():
+    rng, t = np.random.default_rng(0), np.arange(COUNT * LENGTH) * DT
+    holds = []
+    for size, wanders in ((1.0, 0.1), (0.3, 1.0), (0.03, 3.0)):
+        drift = wanders * np.sqrt(DT) * lfilter([1.0], [1.0, -1.0], rng.normal(size=t.size))
+        holds.append(WINDOWS.powers((size * np.sin(2.0 * np.pi * 2.0 * t) + drift)[:, None]))
+    amplitude = choose_amplitude(WINDOWS, holds)
+    assert weighs_at(amplitude, 0, WINDOWS.frequency[AMPLITUDE.lowest])  # the drift does react
+    assert amplitude.period([power.mean(axis=0) for power in holds]) == pytest.approx(0.5, rel=0.1)
+
+
 @pytest.mark.parametrize(("noise", "hides"), [(0.02, True), (0.6, False)])
 def test_what_a_coarse_sensor_cannot_show_is_floor(noise, hides):
     step, rng = 0.5, np.random.default_rng(3)

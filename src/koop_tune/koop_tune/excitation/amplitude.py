@@ -259,9 +259,16 @@ class Amplitude:
     def period(self, holds: Sequence[Array]) -> float:
         """Return the period [s] below which nearly all of A^2 is, in each of some holds.
 
-        A hold without any power, where a coarse sensor reads one value, tells none.
+        What only falls from the lowest frequencies on has none: a drift does so in windows of any
+        length. It counts if there is nothing else. A hold without any power, where a coarse sensor
+        reads one value, tells none.
         """
-        shares = np.array([np.cumsum((self.weight * power).sum(axis=0)) for power in holds])
+        density = np.array([self.weight.max(axis=1) @ power for power in holds])
+        density /= np.diff(np.array(self.windows.edges))
+        rises = density > AMPLITUDE.falls * np.minimum.accumulate(density, axis=1)
+        parts = np.array([(self.weight * power).sum(axis=0) for power in holds])
+        beyond = parts * np.maximum.accumulate(rises, axis=1)
+        shares = np.cumsum(beyond if beyond.any() else parts, axis=1)
         shares = shares[shares[:, -1] > 0.0]
         shares /= shares[:, -1:]
         first = int((shares > AMPLITUDE.slow).argmax(axis=1).min())
