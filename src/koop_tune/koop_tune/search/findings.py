@@ -160,7 +160,7 @@ def analyse(
     for cost in costs(loaded, training, period, settings.learned):
         maps = {}
         if cost.y_out is not None:
-            for omega_h in find_corners(settings.highpass, period, dt):
+            for omega_h in dict.fromkeys(find_corners(settings.highpass, period, dt)):
                 levels = dwells.window_levels(high_pass(cost.y_out, loaded, omega_h, dt))
                 maps[omega_h] = dwells.static_map(levels, rig.sense)
         candidates.append(CostMaps(cost, maps, static_map, settings.near))
