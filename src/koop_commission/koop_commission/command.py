@@ -177,7 +177,7 @@ class Commissioning:
             self._set_aside(len(rounds))
             old.rename(self._folder / TUNED)
         verification = verify.judge(self._rig, self._folder, index)
-        print("\n" + verification.verdict + "\n\n" + verify.format_round(rounds[index]) + "\n")
+        print(verify.format_verdict(verification, rounds[index]))
         return 0 if verification.damped else 1
 
     def _begin(self, stage: str) -> None:

@@ -55,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
     rig = rig_file.read(args.rig)
     with resumable(rig, f"./koop verify {args.rig} {args.folder}"):
         verification = verify(rig, args.folder, note_of(args.rig))
-    print("\n" + verification.verdict + "\n\n" + format_round(verification.rounds[-1]) + "\n")
+    print(format_verdict(verification, verification.rounds[-1]))
     print(try_report(args.folder))
     return 0 if verification.damped else 1
 
@@ -143,6 +143,11 @@ def _conclude(rounds: tuple[Round, ...], index: int, aim: Aim, folder: Path) -> 
     verification = Verification(rounds, not find_faults(aim, runs), aim.name, text)
     write_json(folder / VERIFIED, verification)
     return verification
+
+
+def format_verdict(verification: Verification, item: Round) -> str:
+    """Return the verdict on the controller of a round, before the round's table."""
+    return f"\n{verification.verdict}\n\n{format_round(item)}\n"
 
 
 def format_round(item: Round) -> str:
