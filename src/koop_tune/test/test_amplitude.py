@@ -330,6 +330,13 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
     assert not weighs_at(amplitude, 0, 4.0)
 
 
+def test_where_theta_was_at_one_place_only_what_differs_there_counts_and_nothing_warns():
+    rng, sizes = np.random.default_rng(0), [0.1, 1.0, 0.2, 2.0]
+    holds = [hold(rng, [(4.0, size)]) for size in sizes]
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(0.5, 1) for _ in sizes])
+    assert weighs_at(amplitude, 0, 4.0)
+
+
 def test_a_mode_that_noise_makes_differ_at_one_place_is_thetas_if_it_follows_theta():
     """Failed before: left out, and the rig was called damped where this mode is large."""
     rng = np.random.default_rng(0)

@@ -468,12 +468,12 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[float, int]]) -> 
     at, level = np.array(places).reshape(-1, 2), np.log(mean)
     apart = np.abs(at[:, None] - at).max(axis=2)
     first, again = np.nonzero(np.triu(apart < AMPLITUDE.same, 1))
-    if first.size < AMPLITUDE.pairs:
-        return np.ones(mean.shape[1:], bool)
     known = np.flatnonzero(np.isfinite(at).all(axis=1))
     order = known[np.lexsort(at[known].T)]  # by side, then position
     one, next_one = order[:-1], order[1:]
     moved = apart[one, next_one] >= AMPLITUDE.same
+    if first.size < AMPLITUDE.pairs or not moved.any():
+        return np.ones(mean.shape[1:], bool)
 
     def differs(a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.bool_]:
         squares = (level[a] - level[b]) ** 2 - error[a] ** 2 - error[b] ** 2
