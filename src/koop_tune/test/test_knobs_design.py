@@ -11,10 +11,12 @@ from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
+from koop_tune.excitation.amplitude import window_length
 from koop_tune.excitation.bowl import fit_bowl
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN
 from koop_tune.excitation.knobs_design import KnobsDesign, RecordedHold
 from koop_tune.result.summary import summarise
+from koop_tune.rig_model.dwells import DWELLS
 from koop_tune.search.settings import TuningSettings
 from koop_tune.search.tune_knobs import cut_section, tune_knobs
 
@@ -187,6 +189,20 @@ def test_holds_of_an_excitation_whose_time_was_over_count_where_it_has_more():
     again.next()
     assert len(recorded) > 15
     assert len(again.held) > 0.9 * len(recorded)
+
+
+def test_a_section_is_found_out_again_where_windows_became_longer(monkeypatch):
+    """Failed before: known, with sections of which 'koop tune' could use one hold."""
+    rig, design = SimulatedKnobs(diagonal), KnobsDesign(KNOBS)
+    monkeypatch.setattr(
+        "koop_tune.excitation.design.window_length",
+        lambda period, *rest: window_length(period * (3.0 if design.sections else 1.0), *rest),
+    )
+    run(design, rig)
+    assert (design.ended, sorted(design.sections)) == (KNOWN, [0, 1])
+    least = DESIGN.brief * design.windows.length
+    for holds in design.sections.values():
+        assert len({hold.u for hold in holds if hold.size >= least}) >= DWELLS.values
 
 
 def test_where_no_knob_has_an_effect_that_is_said():

@@ -10,7 +10,7 @@ A rig with one knob has one section. With several:
    at a line between knobs it goes along that.
 4. Through the best, each knob's section is found out as that of a rig with one knob
    (:class:`koop_tune.excitation.design.Design`), and one without effect is gone over once more.
-   Steps 3 and 4 are repeated while the best moves.
+   Steps 3 and 4 are repeated while the best moves, or where windows became longer meanwhile.
 
 The holds grow with n^2, not exponentially. A valley off all of these lines is not found.
 """
@@ -49,7 +49,7 @@ class KnobsSettings(Settings):
         low=0.0,
     )
     steps: int = judged(4, "holds at it for each knob, at most", low=1)
-    cycles: int = judged(2, "times that the sections are found out, at most", low=1)
+    cycles: int = judged(2, "times that the sections are found out while the best moves", low=1)
     away: float = judged(2.0, "amplitude over the best beside a section's best, at first", low=1.0)
     least: float = judged(0.03, "distance of these, at least, in ranges", low=1e-3, high=0.5)
     most: float = judged(0.3, "the same at most", low=1e-3, high=0.5)
@@ -60,7 +60,7 @@ class KnobsSettings(Settings):
     room: float = judged(
         0.15, "section that lines between knobs leave, at least, in ranges", low=0.0
     )
-    spread: int = judged(5, "positions over one that is too short for those beside the best", low=5)
+    spread: int = judged(5, "positions of a section beside the best, at least", low=5)
     gap: float = judged(0.2, "widest gap between two holds of a section, in ranges", low=0.0)
 
 
@@ -161,6 +161,10 @@ class KnobsDesign:
         """Return whether a hold is long enough for the windows of now."""
         return hold.size >= self._of_section.brief * self.windows.length
 
+    def _is_short(self, section: Sequence[Hold]) -> bool:
+        """Return whether windows became longer since most of a section's holds."""
+        return len({hold.u for hold in section if self._is_long(hold)}) < KNOBS.spread
+
     def levels(self) -> list[Level]:
         """Return the level of each of them."""
         return self._levels_of([hold for hold, _ in self.held])
@@ -232,7 +236,7 @@ class KnobsDesign:
         knobs = range(self.rig.count)
         lines: dict[int, list[Hold]] = {knob: [] for knob in knobs}
         for knob in (*knobs, *knobs):  # again where windows became longer meanwhile
-            if sum(map(self._is_long, lines[knob])) < self._of_section.first:
+            if self._is_short(lines[knob]):
                 yield from self._along(knob, whole=False)
                 lines[knob], self.lines[knob] = self._design.holds, self._through
                 self._move_base()
@@ -252,19 +256,19 @@ class KnobsDesign:
                 place = self._beside({a: way[a], b: side * way[b]})
                 yield from self._hold_at(place, "how two knobs are coupled")
         self.sections, self.lines = {}, {}
-        for cycle in range(KNOBS.cycles):
+        for cycle in itertools.count(1):
             yield from self._descend()
             yield from self._slide()
             for knob in self._useful:
-                width = self._half_width(knob)
-                first = [self.base[knob] + share * width for share in (-1.0, -0.5, 0.5, 1.0)]
-                inside = [u for u in first if 0.0 <= u <= 1.0]
-                yield from self._along(knob, inside, knob in effective)
+                best, width = self.base[knob], self._half_width(knob)
+                ends = max(best - width, 0.0), min(best + width, 1.0)
+                first = np.linspace(*ends, KNOBS.spread).tolist()
+                yield from self._along(knob, first, knob in effective)
                 self.sections[knob], self.lines[knob] = self._design.holds, self._through
                 if self._has_effect(knob):
                     effective.add(knob)
                 self._move_base()
-            found = [] if cycle else [knob for knob in knobs if knob not in self._useful]
+            found = [knob for knob in knobs if knob not in self._useful and cycle == 1]
             for knob in found:  # what hid its effect may be gone at the best
                 yield from self._along(knob, np.linspace(0.0, 1.0, KNOBS.spread).tolist(), False)
                 self.sections[knob] = self._design.holds
@@ -272,7 +276,10 @@ class KnobsDesign:
                     del self.sections[knob]
                 self._move_base()
             self._useful = sorted(self.sections)
-            if not set(found) & self.sections.keys() and self._least_of_bowl() is None:
+            if any(map(self._is_short, self.sections.values())):
+                continue
+            moves = set(found) & self.sections.keys() or self._least_of_bowl() is not None
+            if cycle >= KNOBS.cycles or not moves:
                 break
         self.ended = KNOWN
 
@@ -291,7 +298,7 @@ class KnobsDesign:
             on[-1].u, on[-1].confirms = self._on(u), False
         if first is not None:
             first = list(dict.fromkeys(self._on(np.full(self.base.size, u)) for u in first))
-            if len(first) < 4 and self._part.span < self.rig.knob(knob).span:
+            if len(first) < KNOBS.spread and self._part.span < self.rig.knob(knob).span:
                 first = np.linspace(0.0, 1.0, KNOBS.spread).tolist()
         self._begin(on, first)
         choose = self._design.next if whole else self._design.next_first
