@@ -53,7 +53,7 @@ class Simulated:
 
     def __init__(self, level, noise=0.05, tau=0.0, interference=0.0, sides=None, seed=0, slow=None):
         self.level, self.noise, self.tau, self.line = level, noise, tau, interference
-        self.slow = slow or (lambda u: 0.0)
+        self.slow, self.slow_frequency = slow or (lambda u: 0.0), SLOW
         self.sides, self.rng = sides, np.random.default_rng(seed)
         self.u, self.side, self.seconds = RIG.u_start, 0, 0.0
         self.value, self.drawn = self.target, np.empty(0)
@@ -78,7 +78,7 @@ class Simulated:
         self.drawn = np.r_[self.drawn, np.sqrt(self.rng.gamma(shape, size=more) / shape)]
         comes = np.interp(t / PERIOD, np.arange(self.drawn.size), self.drawn)
         x = np.exp(value) * comes * np.sin(2.0 * np.pi * t / PERIOD)
-        x += self.slow(self.u) * np.sin(2.0 * np.pi * SLOW * t)
+        x += self.slow(self.u) * np.sin(2.0 * np.pi * self.slow_frequency * t)
         x += self.line * np.sin(2.0 * np.pi * 0.4 * t) + 1e-3 * self.rng.normal(size=samples)
         return x[:, None]
 
@@ -241,6 +241,9 @@ def test_windows_that_come_back_to_their_length_lose_no_hold(monkeypatch):
         def squares(self, powers):
             return powers.sum(axis=(1, 2))
 
+        def log(self, squares):
+            return 0.5 * np.log(squares)
+
     monkeypatch.setattr(
         "koop_tune.excitation.design.choose_amplitude", lambda windows, *_, **__: Reacts(windows)
     )
@@ -291,6 +294,28 @@ def test_what_is_slower_and_does_not_react_or_is_faint_needs_no_longer_windows(s
     rig = Simulated(wide, noise=0.5, slow=slow, seed=1)  # holds long enough to see it
     _, moves = excite(rig, replace(RIG, time=3e4))
     assert not any("what is slower reacts" in move.why for move in moves)
+
+
+def test_a_slow_oscillation_far_from_the_best_sets_no_windows():
+    """Failed before: windows of a limit cycle 100 times the best, ten times as long."""
+    rig = Simulated(wide, slow=lambda u: 100.0 * (u > 0.75))
+    rig.slow_frequency = 0.4
+    design, _ = excite(rig, replace(RIG, time=3e4))
+    assert design.ended == KNOWN
+    assert design.windows.seconds < 20.0 * PERIOD
+    assert abs(design.static_map().best() - 0.4) < 0.1
+
+
+def test_where_windows_become_longer_theta_goes_to_each_place_once():
+    """Failed before: it went to the best as often as it had been there."""
+    first, _ = excite(Simulated(wide), most=COUNT)
+    brief = first.windows._replace(length=first.windows.length // 2)
+    held = [hold.u for hold in first.holds]
+    short = [Hold(h.u, 1, h.x[: DESIGN.brief * brief.length]) for h in first.holds[:-1]]
+    design = Design(RIG, [*short, *short[3:5], first.holds[0]], brief)
+    assert design.windows.length > brief.length
+    assert [hold.u for hold in design.holds] == held[:1]
+    assert sorted(design._queue) == sorted(held[1:])
 
 
 @pytest.mark.parametrize(("flat", "ended"), [(25.0, KNOWN), (1e9, TIME)])

@@ -53,6 +53,7 @@ class DesignSettings(Settings):
     window: float = studied(8.0, "window, in periods of the lowest frequency that reacts", low=4.0)
     before: float = studied(8.0, "the same of the slowest line, before that is known", low=1.0)
     clear: float = studied(1.5, "factor of the amplitude between two holds that tells", low=1.0)
+    far: float = judged(30.0, "amplitude over the best whose frequencies do not count", low=1.0)
     fast: float = studied(24.0, "the same of the fastest line, if less", low=4.0)
     listen: float = studied(40.0, "periods before theta moves", low=1.0)
     shortest: float = parameter(3.0, "time of that at least", unit="s", low=0.1)
@@ -356,14 +357,16 @@ class Design:
     def _slower(self, static_map: StaticMap) -> int | None:
         """Return the samples of windows in which something slower reacts than these resolve."""
         s, lowest = self._settings, self.windows.frequency[AMPLITUDE.lowest]
-        slower = self._is_slower(static_map)
+        slower, most = self._is_slower(static_map), static_map.least + math.log(s.far)
+        levels = zip(self.holds, self.levels(), strict=True)
+        near = [hold for hold, level in levels if self.rig.sense * level.mean <= most]
         for longer in (s.longer, s.longer**2):
             windows = self.windows._replace(length=longer * self.windows.length)
             if windows.length <= self._longest:
                 continue  # looked at before
             if slower:
                 return windows.length
-            holds = [h for h in self.holds if h.size >= s.fewest * windows.length]
+            holds = [h for h in near if h.size >= s.fewest * windows.length]
             powers = [windows.powers(h.x[h.size // 2 :]) for h in holds]
             amplitude = choose_amplitude(windows, powers, self.rig.weights) if powers else None
             if amplitude is None:
@@ -619,10 +622,12 @@ class Design:
             known = self.windows, powers, self.rig.weights, places, hidden
             if last or (reacts := choose_amplitude(*known, beside=True)) is None:
                 break
-            self.period = reacts.period([p.mean(axis=0) for p in powers])
             squares = [float(reacts.squares(p).mean()) for p in powers]
             if max(squares) < s.clear**2 * max(min(squares), 0.0):
                 break  # of what reacts a little the frequency is not known
+            y = self.rig.sense * reacts.log(np.array(squares))
+            near = np.flatnonzero(y <= y.min() + math.log(s.far))
+            self.period = reacts.period([powers[i].mean(axis=0) for i in near])
             length = window_length(self.period, s.window, self.rig.dt)
             if self._queue and self._slow:  # until theta was where that shows
                 length = max(length, self.windows.length)
@@ -637,8 +642,10 @@ class Design:
                 break
         if self.windows != before:  # at the first positions theta goes again where it was shorter
             least = s.brief * self.windows.length
-            self._queue += [hold.u for hold in self.holds if hold.size < least]
+            short = [hold.u for hold in self.holds if hold.size < least]
             self.holds = [hold for hold in self.holds if hold.size >= least]
+            there = {*self._queue, *(hold.u for hold in self.holds)}
+            self._queue += [u for u in dict.fromkeys(short) if u not in there]
         self.amplitude = choose_amplitude(*known) if len(holds) > 1 else None
 
     @property
