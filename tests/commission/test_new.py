@@ -62,6 +62,7 @@ def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     assert proposed
     assert 0.005 < float(proposed[1]) < 0.1  # of a timer, on a busy machine
     assert "\ntopic that takes theta: " in done.stdout  # of two none is moved by Enter alone
+    assert "field of /tower/damping that takes theta (of several knobs" in done.stdout
     assert "numbers in a message that change: data[0],data[1]; 1 others do not" in done.stdout
     assert "seen: data[0] -0.5 to 0.5, data[1] -1 to 1" in done.stdout
     assert f"next: ./koop check {path}" in done.stdout

@@ -194,7 +194,8 @@ class Interview:
         proposal = [*names, "data[0]"][0]
         if hasattr(message, "theta"):
             proposal = "theta" if "theta" in names else "theta[0]"
-        return ask(f"field of {topic} that takes theta", proposal, parse)
+        question = f"field of {topic} that takes theta (of several knobs: separated by commas)"
+        return ask(question, proposal, parse)
 
     def _ask_limits(self, samples: Samples | None) -> None:
         channels = parse_source(self.values["measured"]).fields

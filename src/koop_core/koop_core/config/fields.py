@@ -124,7 +124,7 @@ def check_fields(fields: tuple[Path, ...], message: Any) -> None:
         value = message
         for name, index in path:
             if not _has(value, name):
-                raise ConfigError(f"{type(value).__name__} has no field '{name}'")
+                raise ConfigError(f"{type(value).__name__} has no field '{name}'{_offer(value)}")
             value = getattr(value, name)
             if (index is not None) != hasattr(value, "__len__") or isinstance(value, str):
                 wanted = "needs an index" if index is None else "takes no index"
@@ -198,6 +198,11 @@ def _numbers_of(value: Any, above: Path) -> Iterator[Path]:
 def _has(message: Any, name: str) -> bool:
     field_types = getattr(message, "get_fields_and_field_types", None)
     return name in field_types() if field_types is not None else hasattr(message, name)
+
+
+def _offer(message: Any) -> str:
+    field_types = getattr(message, "get_fields_and_field_types", dict)
+    return f" (it has {', '.join(field_types())})" if field_types() else ""
 
 
 def _short(text: str) -> str:
