@@ -26,7 +26,7 @@ def list_stages(c: Contents) -> Iterator[Stage]:
     """Yield all stages in order."""
     folder, rig, state = c.folder, c.rig_file, c.excitation
     yield Stage("Rig", DONE, f"{', '.join(c.rig.names)} measured; theta on {c.rig.command_topics}")
-    text = f"{len(state.holds)} holds in {state.elapsed:.0f} s"
+    text = f"{len(state.done)} holds in {state.elapsed:.0f} s"
     if not c.is_excited:
         yield Stage("Excite", MISSING, f"{text}; to resume: ./koop excite {rig} --out {folder}")
     else:

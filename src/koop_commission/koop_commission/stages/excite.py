@@ -80,7 +80,7 @@ def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
         "the rig",
     }.get(progress.ended) or progress.describe_end(rig)
     return (
-        f"{reason}; {len(progress.holds)} holds in {progress.elapsed:.0f} s of the rig's time; "
+        f"{reason}; {len(progress.done)} holds in {progress.elapsed:.0f} s of the rig's time; "
         f"theta is back at {rig.spell('theta_safe')}"
     )
 
@@ -160,7 +160,7 @@ class Excitation:
         self._listener = session.listener
         self._first, self._before = self._listener.count, state.elapsed
         self._began = time.monotonic()
-        self._design, self._earlier = KnobsDesign(rig, recorded=recorded), list(state.holds)
+        self._design, self._earlier = KnobsDesign(rig, recorded=recorded), state.done
         self._said = math.inf  # log amplitude of the last line, in the unit of then
         session.show = self._show
 
@@ -174,8 +174,8 @@ class Excitation:
     def run(self) -> None:
         """Move theta until the map is known or the time is over."""
         progress_file.save(self._state, self._rig, self._folder)
-        if self._state.holds:
-            print(f"{len(self._state.holds)} holds were done before", flush=True)
+        if self._earlier:
+            print(f"{len(self._earlier)} holds were done before", flush=True)
         self._listen()
         move = self._design.next()
         self._forecast()
@@ -193,14 +193,15 @@ class Excitation:
         self._note_time()
         seconds, dt = design.windows.seconds, self._rig.dt
         left = [recorded.u.tolist() for recorded in design.recorded]
-        state.holds = [hold for hold in self._earlier if rig.u(hold.theta).tolist() in left]
-        state.holds += [
+        holds = [hold for hold in self._earlier if rig.u(hold.theta).tolist() in left]
+        holds += [
             HoldSummary(
                 rig.theta_at(u), level.mean, min(level.error, 10.0), level.skip * seconds,
                 hold.x.shape[0] * dt, hold.why,
             )
             for (hold, u), level in zip(design.held, design.levels(), strict=True)
         ]  # fmt: skip
+        state.set_holds(rig, holds)
         state.sections = [SectionLine(k, rig.theta_at(u)) for k, u in design.lines.items()]
         progress_file.save(state, self._rig, self._folder)
 
@@ -306,12 +307,12 @@ class Excitation:
 
 def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[RecordedHold]:
     """Return the holds that an interrupted excitation recorded."""
-    if not state.holds:
+    if not state.done:
         return []
     loaded, _ = load_since(list_bags(folder, rig, state), rig, state)
     assert loaded.theta is not None
     u, recorded = rig.u(loaded.theta.reshape(-1, rig.count)), []
-    for hold in state.holds:
+    for hold in state.done:
         on = np.abs(u - rig.u(hold.theta)).max(axis=1) < DWELLS.same
         edges = np.flatnonzero(np.diff(np.r_[False, on, False].astype(np.int8)))
         for begin, after in edges.reshape(-1, 2):
@@ -319,4 +320,4 @@ def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Re
                 x, u[begin:after] = loaded.x[:, begin:after].T, np.nan  # no other hold's
                 recorded.append(RecordedHold(rig.u(hold.theta), x, state.since + begin * rig.dt))
                 break
-    return recorded
+    return sorted(recorded, key=lambda hold: hold.elapsed)

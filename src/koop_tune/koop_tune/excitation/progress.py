@@ -18,6 +18,7 @@ from koop_tune.rig.rig_file import RigFile, as_values
 
 Array = NDArray[np.float64]
 NAME = "excite.json"
+SAME = 1e-6  # distance of two holds at one place, of the range
 
 
 class HoldSummary(NamedTuple):
@@ -67,6 +68,8 @@ class ExcitationProgress:
         Of each knob that has an effect, once they are known.
     needed : float
         Time that it needs in all at least [s].
+    short : list of HoldSummary
+        Finished, and too short for the windows of now; one that is resumed begins with shorter.
     """
 
     windows: Windows | None = None
@@ -79,6 +82,12 @@ class ExcitationProgress:
     safe: SafeRange | None = None
     sections: list[SectionLine] = field(default_factory=list)
     needed: float = 0.0
+    short: list[HoldSummary] = field(default_factory=list)
+
+    @property
+    def done(self) -> list[HoldSummary]:
+        """All finished holds."""
+        return [*self.holds, *self.short]
 
     @property
     def longer(self) -> str:
@@ -101,6 +110,14 @@ class ExcitationProgress:
     def narrow(self, rig: RigFile) -> RigFile:
         """Return the rig file with the limits of theta that keep the constraint."""
         return rig if self.safe is None else self.safe.narrow(rig)
+
+    def set_holds(self, rig: RigFile, holds: list[HoldSummary]) -> None:
+        """Set the holds; those known at other places are too short now."""
+        u = np.reshape([rig.u(hold.theta) for hold in holds], (-1, rig.count))
+        known, self.holds = self.done, holds
+        self.short = [
+            hold for hold in known if not (np.abs(u - rig.u(hold.theta)) < SAME).all(axis=1).any()
+        ]
 
     def arrays(self, rig: RigFile) -> tuple[Array, Array, Array]:
         """Return the positions of the holds, shape (M, n), their levels and errors, shape (M,).
