@@ -168,6 +168,14 @@ def test_a_knob_that_is_as_good_where_it_is_stays_there_and_no_section_is_gone_o
     assert sum(move.u[0] in (0.0, 1.0) for move in moves[first:]) <= 2
 
 
+def test_how_long_it_takes_is_known_before_theta_moves(coupled):
+    rig, design = coupled[0], KnobsDesign(KNOBS)
+    design.look(np.concatenate([x for _, x in rig.recorded])[:2000])
+    design.next()
+    first, whole = design.needed
+    assert first < 0.6 * rig.seconds < whole < 1.2 * rig.seconds  # failed before: half was said
+
+
 def test_holds_of_an_excitation_whose_time_was_over_count_where_it_has_more():
     """Failed before: with more time they were too short, and theta went everywhere again."""
     rig, recorded = SimulatedKnobs(diagonal), []

@@ -29,7 +29,7 @@ from koop_guard.note import note_of
 from koop_tune.excitation import progress as progress_file
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME
 from koop_tune.excitation.knobs_design import KnobsDesign, KnobsMove, RecordedHold
-from koop_tune.excitation.progress import ExcitationProgress, HoldSummary, SectionLine
+from koop_tune.excitation.progress import ExcitationProgress, HoldSummary, SectionLine, round_up
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import DWELLS
@@ -231,7 +231,7 @@ class Excitation:
         koop_core.config.parameter.ConfigError
             If the time of the rig file is too short for that.
         """
-        rig, (first_holds, _) = self._rig, self._design.needed
+        rig, (first_holds, whole) = self._rig, self._design.needed
         left = max(rig.time - self._elapsed, 0.0)
         self._note_time()
         if first_holds > left:
@@ -243,9 +243,16 @@ class Excitation:
         several = ", one knob after another" * (rig.count > 1)
         first = f"between {rig.spell('theta_min')} and {rig.spell('theta_max')}{several}, "
         first += "there and back, then "
+        needed = f"about {round_up(whole):g} s, " * (whole <= left)
+        if not needed:
+            print(
+                f"time = {rig.time:g} in the rig file is too short for the whole map: "
+                f"{self._state.longer}, now or when it is over",
+                flush=True,
+            )
         print(
             f"theta goes {first * (self._design.left > 0)}to where it tells most about the best "
-            f"value: at most {spell_time(left, rig.pace)}, often less; "
+            f"value: {needed}at most {spell_time(left, rig.pace)}; "
             f"Ctrl-C ends it, theta returns to {rig.spell('theta_safe')} within {back:.2g} s here\n"
             "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
             flush=True,

@@ -222,14 +222,19 @@ class Design:
         If what reacts is what was heard: then theta goes into each gap, and to the best from both
         sides.
         """
-        s, least, seconds = self._settings, self._needed_windows(), self.windows.seconds
-        first = len(self._queue) * least * seconds
+        s, hold, seconds = self._settings, self.hold_seconds, self.windows.seconds
+        first = len(self._queue) * hold
         first += 2.0 * self.rig.span / self.rig.theta_rate if self._queue else 0.0
         gaps = np.diff(np.unique([*self._queue, *(hold.u for hold in self.holds)]))
         halves = 2.0 ** np.ceil(np.log2(np.maximum(gaps / s.gap, 1.0))) - 1.0
         sides = {hold.side for hold in self.holds if hold.confirms}
         best = max(2 - len(sides), not self._queue)
-        return first, first + (float(halves.sum()) * s.brief + best * least) * seconds
+        return first, first + float(halves.sum()) * s.brief * seconds + best * hold
+
+    @property
+    def hold_seconds(self) -> float:
+        """Time of a hold at least, as the rig was seen so far [s]."""
+        return self._needed_windows() * self.windows.seconds
 
     # -- where theta goes -----------------------------------------------------------------------
 

@@ -115,6 +115,7 @@ class KnobsDesign:
         self.lines: dict[int, Array] = {}
         self.base = self._start = rig.u(rig.each("theta_start"))
         self._useful = list(range(rig.count))
+        self._to_come = 0  # holds after the present section, at least
         self._of_section = replace(DESIGN, gap=KNOBS.gap) if rig.count > 1 else DESIGN
         self.recorded, self._arrivals = list(recorded), 0
         self._done: list[tuple[Hold, Array]] = []
@@ -145,10 +146,10 @@ class KnobsDesign:
 
     @property
     def needed(self) -> tuple[float, float]:
-        """As a Design's, of all knobs that theta has not gone over yet."""
+        """As a Design's, of all knobs: what is to come after the present section counts, too."""
         first, whole = self._design.needed
         knobs = max(self.rig.count - len(self.lines), 1)
-        return knobs * first, knobs * whole
+        return knobs * first, whole + self._to_come * self._design.hold_seconds
 
     @property
     def held(self) -> list[tuple[Hold, Array]]:
@@ -235,8 +236,12 @@ class KnobsDesign:
             return
         knobs = range(self.rig.count)
         lines: dict[int, list[Hold]] = {knob: [] for knob in knobs}
+        over, n = 2 * self._of_section.first - 1, self.rig.count
+        whole = over + 2
         for knob in (*knobs, *knobs):  # again where windows became longer meanwhile
             if self._is_short(lines[knob]):
+                left = n - 1 - len(self.lines)
+                self._to_come = max(left, 0) * over + n * (n - 1) + n * whole
                 yield from self._along(knob, whole=False)
                 lines[knob], self.lines[knob] = self._design.holds, self._through
                 self._move_base()
@@ -250,6 +255,7 @@ class KnobsDesign:
             return
         self._useful = [knob for knob in knobs if self._matters(knob, effective)]
         self._move_base()
+        self._to_come = len(self._useful) * whole
         way = {knob: self._width(knob) for knob in self._useful}
         for a, b in itertools.combinations(self._useful, 2):
             for side in (1.0, -1.0):
@@ -259,7 +265,8 @@ class KnobsDesign:
         for cycle in itertools.count(1):
             yield from self._descend()
             yield from self._slide()
-            for knob in self._useful:
+            for i, knob in enumerate(self._useful, start=1):
+                self._to_come = (len(self._useful) - i) * whole
                 best, width = self.base[knob], self._half_width(knob)
                 ends = max(best - width, 0.0), min(best + width, 1.0)
                 first = np.linspace(*ends, KNOBS.spread).tolist()
