@@ -48,7 +48,7 @@ def rig(probe):
 
 def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     path = tmp_path / "rig.yaml"
-    answers = "1 \n\n0.01\n2, 1\n\n\n0.5 -1\n1.6, 1\n0.05\n1 0\n\nnone\n3 3\n\n600\n"
+    answers = "1 \n\n0.01\n2, 1\n\n\n0.5 -1\n1.6, 1\n0.05\n1 0\n\nnone\n3 3\n\n\n"
     done = answered(path, answers)
     assert done.returncode == 0, done.stderr
     config = read(path)
@@ -56,6 +56,7 @@ def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     assert config.command == "/tower/stiffness:data, /tower/damping:data"
     assert (config.theta_min, config.theta_max, config.theta_rate) == ((0.5, -1), (1.6, 1), 0.05)
     assert (config.theta_safe, config.channel_min, config.channel_max) == ((1, 0), (), (3, 3))
+    assert config.time == 3 * 1800  # of two knobs
     proposed = re.search(
         r"time between two messages of the measured channels \[s\] \[([\d.]+)\]", done.stdout
     )

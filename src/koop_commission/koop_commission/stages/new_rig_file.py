@@ -49,6 +49,7 @@ class ProposalSettings(Settings):
     patience: float = judged(5.0, "wait for a first message", unit="s", low=0.1)
     listen: float = judged(2.0, "for rate and range of the channels", unit="s", low=0.1)
     margin: float = judged(3.0, "ranges seen, by which a channel may leave that range", low=0.0)
+    time: float = judged(1800.0, "of an excitation; each further knob twice", unit="s", low=1.0)
     most: int = judged(16, "fields that are proposed", low=1)
 
 
@@ -123,13 +124,14 @@ class Interview:
         for name in ("theta_min", "theta_max", "theta_rate", "theta_start"):
             self._ask_number(name)
         start = self.values["theta_start"]
-        proposal = " ".join(f"{v:g}" for v in (start if isinstance(start, tuple) else [start]))
+        starts = start if isinstance(start, tuple) else [start]
+        proposal = " ".join(f"{v:g}" for v in starts)
         self._ask_number("theta_safe", proposal)
         self._ask_limits(samples)
         objective = SPECS["objective"]
         question = f"{objective.description} ({objective.constraint})"
         self.values["objective"] = ask(question, "minimise", _parse_objective)
-        self._ask_number("time", "1800")
+        self._ask_number("time", f"{PROPOSAL.time * (2 * len(starts) - 1):g}")
         return RigFile(**self.values)
 
     def _ask_measured(self) -> Samples | None:
