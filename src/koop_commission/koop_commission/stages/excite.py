@@ -160,7 +160,7 @@ class Excitation:
         self._listener = session.listener
         self._first, self._before = self._listener.count, state.elapsed
         self._began = time.monotonic()
-        self._design, self._earlier = KnobsDesign(rig, recorded=recorded), state.done
+        self._design = KnobsDesign(rig, recorded=recorded)
         self._said = math.inf  # log amplitude of the last line, in the unit of then
         session.show = self._show
 
@@ -174,8 +174,8 @@ class Excitation:
     def run(self) -> None:
         """Move theta until the map is known or the time is over."""
         progress_file.save(self._state, self._rig, self._folder)
-        if self._earlier:
-            print(f"{len(self._earlier)} holds were done before", flush=True)
+        if self._state.done:
+            print(f"{len(self._state.done)} holds were done before", flush=True)
         self._listen()
         move = self._design.next()
         self._forecast()
@@ -192,9 +192,7 @@ class Excitation:
         state.windows, state.amplitude = design.windows, design.amplitude
         self._note_time()
         seconds, dt = design.windows.seconds, self._rig.dt
-        left = [recorded.u.tolist() for recorded in design.recorded]
-        holds = [hold for hold in self._earlier if rig.u(hold.theta).tolist() in left]
-        holds += [
+        holds = [
             HoldSummary(
                 rig.theta_at(u), level.mean, min(level.error, 10.0), level.skip * seconds,
                 hold.x.shape[0] * dt, hold.why,

@@ -68,8 +68,9 @@ class ExcitationProgress:
         Of each knob that has an effect, once they are known.
     needed : float
         Time that it needs in all at least [s].
-    short : list of HoldSummary
-        Finished, and too short for the windows of now; one that is resumed begins with shorter.
+    aside : list of HoldSummary
+        Finished, and not counted now: too short for the windows, or not come to again since it was
+        resumed, with the amplitude of then.
     """
 
     windows: Windows | None = None
@@ -82,12 +83,12 @@ class ExcitationProgress:
     safe: SafeRange | None = None
     sections: list[SectionLine] = field(default_factory=list)
     needed: float = 0.0
-    short: list[HoldSummary] = field(default_factory=list)
+    aside: list[HoldSummary] = field(default_factory=list)
 
     @property
     def done(self) -> list[HoldSummary]:
         """All finished holds."""
-        return [*self.holds, *self.short]
+        return [*self.holds, *self.aside]
 
     @property
     def longer(self) -> str:
@@ -112,12 +113,15 @@ class ExcitationProgress:
         return rig if self.safe is None else self.safe.narrow(rig)
 
     def set_holds(self, rig: RigFile, holds: list[HoldSummary]) -> None:
-        """Set the holds; those known at other places are too short now."""
-        u = np.reshape([rig.u(hold.theta) for hold in holds], (-1, rig.count))
-        known, self.holds = self.done, holds
-        self.short = [
-            hold for hold in known if not (np.abs(u - rig.u(hold.theta)) < SAME).all(axis=1).any()
-        ]
+        """Set the holds that count; of those known before the others are put aside."""
+        known, self.holds, self.aside = self.done, holds, []
+        places = [rig.u(hold.theta) for hold in holds]
+        for hold in known:
+            off = [np.abs(u - rig.u(hold.theta)).max() for u in places]
+            if min(off, default=math.inf) < SAME:
+                del places[int(np.argmin(off))]
+            else:
+                self.aside.append(hold)
 
     def arrays(self, rig: RigFile) -> tuple[Array, Array, Array]:
         """Return the positions of the holds, shape (M, n), their levels and errors, shape (M,).
