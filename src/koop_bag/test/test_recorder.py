@@ -238,6 +238,28 @@ def test_topics_of_the_namespace_are_recorded_whatever_their_qos_and_no_others(t
     assert offered[0]["lifespan"]["sec"] == 9223372036  # none
 
 
+def test_topics_outside_the_namespace_are_recorded_if_its_nodes_use_them(tmp_path):
+    """Failed before: a rig's own topics were not, and figures were those of the controller."""
+    joints = "sensor_msgs/msg/JointState"
+    with (
+        Recorder(tmp_path / "run", "-r", "__ns:=/loop") as recorder,
+        Talker("lifter", "/loop") as lifter,
+        Talker("rig") as rig,
+    ):
+        lifter.collect("/tower/joints", joints)
+        others = rig.node.create_publisher(message_type(joints), "/other/joints", 10)
+        (publisher,) = rig.publishers({"/tower/joints": joints}).values()
+        command = lifter.publishers({"/tower/knob": BLOB})["/tower/knob"]
+        rig.spin_until(lambda: publisher.get_subscription_count() == 2, "the recorder to listen")
+        publisher.publish(publisher.msg_type(position=[1.0]))
+        command.publish(command.msg_type(data=[2]))
+        recorder.wait_for("/tower/joints", 1)
+        recorder.wait_for("/tower/knob", 1)
+        assert others.get_subscription_count() == 0
+        recorder.stop()
+        assert "Traceback" not in recorder.output()
+
+
 def test_chosen_topics_are_recorded_while_the_recorder_is_active(tmp_path, messages):
     chosen = "topics:=state /joints:sensor_msgs/msg/JointState"
     types = {"/state": LOOP["/state"], "/joints": "sensor_msgs/msg/JointState"}

@@ -31,7 +31,7 @@ class RecorderConfig(Settings):
         "",
         "topics to record, separated by spaces, each as name or name:pkg/msg/Type (a type known "
         "in advance is subscribed to at once); empty: the loop's topics, those that all nodes "
-        "share, and every other topic of the namespace as it appears",
+        "share, and every other topic that is of the namespace, or that its nodes use",
         read_only=True,
     )
     keep_size: float = parameter(

@@ -10,6 +10,7 @@ from typing import Any
 
 from koop_msgs.msg import GuardState
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import qos_profile_parameter_events
 
 from koop_bag.bag.losses import LossCounter, early_ends
@@ -147,8 +148,10 @@ class RecorderRun(Run):
         if self._writer is None:
             return
         prefix = self._node.get_namespace().rstrip("/") + "/"
+        used = self._list_used(prefix) if self._take_all and prefix != "/" else set()
         for name, types in self._node.get_topic_names_and_types():
-            in_reach = name in self._awaited or (self._take_all and name.startswith(prefix))
+            within = self._take_all and name.startswith(prefix)
+            in_reach = name in self._awaited or within or name in used
             if name not in self._topics and in_reach and self._node.count_publishers(name):
                 self._awaited.setdefault(name, "")
                 self._try_topic(name, types[0])
@@ -159,6 +162,17 @@ class RecorderRun(Run):
         if self._collector.look():
             self._guarded(self._keep_parameters)
         self._guarded(self._look_at_the_disk)
+
+    def _list_used(self, prefix: str) -> set[str]:
+        """Return what nodes of the namespace publish or hear: a rig's topics may lie outside."""
+        used = set()
+        for node, namespace in self._node.get_node_names_and_namespaces():
+            if f"{namespace}/".startswith(prefix) and node != self._node.get_name():
+                with suppress(NodeNameNonExistentError):  # it has ended
+                    published = self._node.get_publisher_names_and_types_by_node(node, namespace)
+                    heard = self._node.get_subscriber_names_and_types_by_node(node, namespace)
+                    used |= {topic for topic, _ in (*published, *heard)}
+        return used
 
     def _look_at_the_disk(self) -> None:
         """Make room in time on a disk that fills up, whatever fills it."""
