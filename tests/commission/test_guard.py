@@ -221,7 +221,9 @@ def test_whatever_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, probe,
         ("/fast", Float64MultiArray, "rig doubled"),
     ):
         publish = lambda t=topic, k=kind: node.create_publisher(k, t, 10)  # noqa: E731
-        check_trip(publish, node.destroy_publisher, cause)
+        trip = check_trip(publish, node.destroy_publisher, cause)
+        told = "which moves theta, too: stop that" in trip.reason
+        assert told == (cause == "another commander")
     # on a busy machine the silence of a second is noticed before the look at the graph
     change = lambda transition: probe.change_state("/relay_esc", transition)  # noqa: E731
     check_trip(lambda: change("deactivate"), lambda _: change("activate"),

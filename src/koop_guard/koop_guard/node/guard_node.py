@@ -327,7 +327,8 @@ class GuardRun(Run):
             if mine in commanding:
                 commanding.remove(mine)
                 if commanding:
-                    text = f"{topic} is also commanded by {', '.join(commanding)} ({GHOST})"
+                    others = f"{topic} is also commanded by {', '.join(commanding)}"
+                    text = f"{others}, which moves theta, too: stop that ({GHOST})"
                     guard.note(Cause.OTHER, text, now)
         if not (controllers or self._to_target) and guard.status is Status.FOLLOWING:
             guard.note(Cause.INACTIVE, "the controller is inactive or has ended", now)
