@@ -161,6 +161,13 @@ def test_three_sentences_say_what_is_known_and_what_comes_next():
     assert "not verified on the rig yet: ./koop verify RIG.YAML run" in following
 
 
+def test_the_strongest_motion_is_told_though_its_hold_is_put_aside():
+    state = excitation(holds()[1:], ended="")
+    state.aside = holds()[:1]
+    rig = write_sentences(contents(excitation=state))[0]
+    assert rig.endswith("is between 1 at 1 and 4 at -1.")
+
+
 def test_the_largest_amplitude_is_the_best_where_it_is_maximised():
     rig = write_sentences(contents(objective="maximise"))[0]
     assert rig.endswith("between 4 at -1 and 1 at 1.")

@@ -63,8 +63,9 @@ def _describe_rig(c: Contents) -> str:
     span = f"theta from {rig.spell('theta_min')} to {rig.spell('theta_max')}"
     if not held:
         return f"The oscillation over {span} is not known yet."
-    order = sorted(held, key=lambda pair: rig.sense * pair[0])
-    (best, theta), (worst, far) = order[0], order[-1]
+    aside = [(math.exp(hold.level), hold.theta) for hold in c.excitation.aside]
+    best, theta = min(held, key=lambda pair: rig.sense * pair[0])
+    worst, far = max([*held, *aside], key=lambda pair: rig.sense * pair[0])
     at = spell(theta)
     valley = ""
     if c.tuned.controller and (fit := c.tuned.static_map):  # the least hold is that by chance
