@@ -18,7 +18,7 @@ from koop_identify.recording.segmentation import BagReading
 from koop_identify.settings import READING
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Windows
-from koop_tune.excitation.design import DESIGN
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN
 from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import CONTROLLER, FIGURES, MODEL
 from koop_tune.result import as_text
@@ -177,8 +177,10 @@ def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Excita
             continue
         excitation = state
         bags += list_bags(folder, rig, state)
-        if not state.ended:
+        if state.ended not in (KNOWN, FLAT):
             print(f"note: {folder}: the excitation is not finished")
+            if len(state.sections) < rig.count:  # of the other knobs nothing is known
+                state.sections = []
     if not bags:
         raise ConfigError(f"{folders[0]}: no recording found: run 'koop excite' first")
     return bags, excitation

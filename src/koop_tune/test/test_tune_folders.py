@@ -12,6 +12,7 @@ from koop_core.config.objects import to_json
 from koop_core.config.parameter import ConfigError
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Windows
+from koop_tune.excitation.design import KNOWN, TIME
 from koop_tune.folder import CONTROLLER, TUNED, find_controller
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.tune_folders import find_bags, reading_of, tune_folders
@@ -82,6 +83,18 @@ def test_the_bags_of_an_excitation_are_those_of_its_parts(tmp_path, capsys):
     assert "not finished" in capsys.readouterr().out
     bags, read = find_bags([loop], RIG)
     assert (bags, read.amplitude) == ([loop], None)
+
+
+@pytest.mark.parametrize("ended", ["", TIME, KNOWN])
+def test_several_knobs_are_not_judged_by_those_that_were_gone_over_so_far(tmp_path, capsys, ended):
+    rig = replace(RIG, command="/knob:data,/other:data")
+    lines = [progress.SectionLine(0, (0.5, 0.5))]
+    state = progress.ExcitationProgress(parts=["part-1"], sections=lines, ended=ended)
+    progress.save(state, rig, tmp_path)
+    write(tmp_path / "part-1" / "bag", ["/knob"])
+    _, read = find_bags([tmp_path], rig)
+    assert read.sections == (lines if ended == KNOWN else [])
+    assert ("not finished" in capsys.readouterr().out) == (ended != KNOWN)
 
 
 def test_folders_without_a_recording_are_refused(tmp_path):

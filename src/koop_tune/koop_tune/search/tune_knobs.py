@@ -126,7 +126,7 @@ def tune_knobs(
         tuning = tune(loaded, rig, training, amplitude, settings, report, safe)
         return KnobsTuning.of_one(rig, tuning)
     if amplitude is None or not lines:
-        raise NoOptimum("flat", "no section of the map over any knob is known: record with "
+        raise NoOptimum("flat", "the map over the knobs is not known: record with "
                         "'koop excite', until it says that the map is known")  # fmt: skip
     rigs = {k: rig.section(k, rig.theta_at(line)) for k, line in lines.items()}
     parts = {k: cut_section(loaded, rig, k, line) for k, line in lines.items()}
