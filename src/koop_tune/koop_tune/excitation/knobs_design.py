@@ -3,8 +3,9 @@
 A rig with one knob has one section. With several:
 
 1. Each knob in turn goes over its range, the others where the best was seen so far.
-2. A knob without effect is named, and stays at its start, unless a line between knobs lets it make
-   room for another.
+2. A knob without effect there is gone over again where the amplitude is away from its best. If it
+   has none, it is named, and stays at its start, unless a line between knobs lets it make room for
+   another.
 3. Two holds to either side of each pair of knobs tell how they are coupled: at the least of the
    bowl that fits all holds (:mod:`koop_tune.excitation.bowl`) theta is held, until none is better;
    at a line between knobs it goes along that.
@@ -253,6 +254,14 @@ class KnobsDesign:
         if not effective:
             self.ended = FLAT
             return
+        for knob in sorted(set(knobs) - effective):  # such as a phase where the gain is best at 0
+            u, y, _ = self.arrays
+            self.base = u[int(np.argmin(np.abs(y - y.min() - math.log(KNOBS.away))))]
+            yield from self._along(knob, np.linspace(0.0, 1.0, KNOBS.spread).tolist(), False)
+            lines[knob], self.lines[knob] = self._design.holds, self._through
+            if self._has_effect(knob):
+                effective.add(knob)
+            self._move_base()
         self._useful = [knob for knob in knobs if self._matters(knob, effective)]
         self._move_base()
         self._to_come = len(self._useful) * whole
@@ -393,6 +402,8 @@ class KnobsDesign:
 
     def _width(self, knob: int) -> float:
         """Return half the width of a knob's section where it is away times its best."""
+        if self._is_short(self.sections[knob]):
+            return KNOBS.most
         rig, valley = self.rig, np.array(self.section(knob).valley(KNOBS.away))
         part = rig.section(knob, rig.theta_at(self.lines[knob])).scale
         width = float(np.ptp(rig.scales[knob].u(part.theta(valley))))
