@@ -336,11 +336,12 @@ def test_a_switch_whose_event_was_not_recorded_is_seen_in_the_costs(eventful, ke
 
 def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):
     """Among its states are one of one value and one of three."""
-    assert main(["bag", "metrics", str(eventful)]) == 0
+    out = tmp_path / "run.png"
+    assert main(["bag", "metrics", str(eventful), "--plot", str(out)]) == 0
     printed, error = capfd.readouterr()
     assert "x[1]" in printed, error
     assert "x[2]" not in printed
-    assert main(["bag", "plot", str(eventful), "--out", str(tmp_path / "run.png")]) == 0
+    assert out.is_file()
 
 
 def test_what_the_user_sets_outlasts_a_recorded_change(eventful, tmp_path, capfd):

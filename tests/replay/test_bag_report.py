@@ -1,4 +1,4 @@
-"""``koop bag metrics`` and ``koop bag plot`` on the golden bag."""
+"""``koop bag metrics`` on the golden bag."""
 
 import json
 import re
@@ -188,7 +188,7 @@ def test_the_table_shows_every_signal_and_json_every_figure_of_it(capsys):
 
 def test_the_plot_is_written(tmp_path, capsys):
     out = tmp_path / "report.svg"
-    assert command("plot", RUN, "--out", out) == 0
+    assert command("metrics", RUN, "--plot", out) == 0
     assert out.read_bytes().startswith(b"<?xml")
     assert str(out) in capsys.readouterr().out
 

@@ -162,5 +162,5 @@ def test_both_packages_have_their_actions_under_koop_bag(capsys):
     with pytest.raises(SystemExit):
         main(["bag", "--help"])
     text = capsys.readouterr().out
-    for action in ("info", "play", "recover", "metrics", "plot"):
+    for action in ("info", "play", "recover", "metrics"):
         assert f"\n    {action} " in text

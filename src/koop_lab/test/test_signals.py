@@ -222,7 +222,7 @@ def test_the_cost_of_any_states_under_a_model_is_that_of_the_node(pressure, mode
 )
 def test_a_model_of_other_states_is_refused(joints, model, dt, measured, message, capsys):
     options = ["--measured", measured, "--dt", str(dt), "--model", str(model)]
-    assert main(["bag", "plot", str(joints), *options]) == 2
+    assert main(["bag", "metrics", str(joints), *options, "--plot", "x.png"]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -251,6 +251,6 @@ def test_the_modes_are_marked_where_the_oscillator_oscillates():
 def test_the_page_of_any_bag_is_drawn_under_a_model(pressure, model, tmp_path, capsys):
     out = tmp_path / "page.png"
     options = ["--measured", PRESSURE, "--command", "/knob:data", "--model", str(model)]
-    assert main(["bag", "plot", str(pressure), *options, "--out", str(out)]) == 0
+    assert main(["bag", "metrics", str(pressure), *options, "--plot", str(out)]) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
     assert "the figures cover 100 of 100 s" in capsys.readouterr().out

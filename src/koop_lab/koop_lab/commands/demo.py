@@ -65,9 +65,7 @@ def main(args: argparse.Namespace) -> int:
             notes = run_with_progress(folder, parameters, recorder, not args.processes)
     except KeyboardInterrupt:
         if (folder / "bag").is_dir():
-            print(
-                f"\nthe run until here is in {folder}/: koop bag metrics, plot and replay take it"
-            )
+            print(f"\nthe run until here is in {folder}/: koop bag metrics and koop replay take it")
         raise
     from koop_lab.plots.signals import plot_signals, true_states  # matplotlib is slow to import
 
