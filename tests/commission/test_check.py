@@ -15,7 +15,7 @@ from commission_rig import RIG
 from std_msgs.msg import Float64, Float64MultiArray
 from test_excite import TIMEOUT, wait
 
-from koop_commission.fitness.fitness import BAD
+from koop_commission.fitness.fitness import BAD, NOTE
 from koop_commission.fitness.settings import CheckSettings
 from koop_commission.stages.check import check_rig
 from koop_core.config.parameter import ConfigError
@@ -156,6 +156,10 @@ def test_a_mistake_of_the_user_is_a_finding(fast_rig, probe):
     assert bad == ["graph"]
     assert "/state is std_msgs/msg/Float64MultiArray, for the lifter it is" in rows["graph"].text
     probe.node.destroy_publisher(other)
+    probe.node.create_subscription(Float64MultiArray, "/fast/second", lambda _: None, 10)
+    rows, bad = rows_of(replace(RIG, command="/fast/second:data[1]"), moves=False, listen=long)
+    assert (bad, rows["command"].level) == ([], NOTE)
+    assert "/fast/second is always sent with data[0] = 0: is that safe?" in rows["command"].text
     second = probe.node.create_publisher(Float64MultiArray, "/fast", 10)
     rows, bad = rows_of(RIG, moves=False, listen=long)
     assert bad == ["arrival"]

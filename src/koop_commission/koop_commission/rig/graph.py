@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from koop_core.config.fields import check_fields
+from koop_core.config.fields import (
+    check_fields,
+    format_field,
+    numbers_of,
+    read_field,
+    write_field,
+)
 from koop_core.errors import KoopError, LiveError
 from koop_core.stream.report import GHOST
 from koop_node.client.alone import DISCOVERY
 from koop_node.client.client import Client
 from koop_node.node.graph import full_name, message_type_of, publishers_of, subscribers_of
-from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
+from koop_tune.rig.rig_file import STATE, STATE_TYPE, THETA_TYPE, RigFile
 
 HIDDEN = ("/rosout", "/parameter_events", "/diagnostics", "/clock", "/tf", "/tf_static")
 
@@ -70,6 +76,21 @@ def describe_other_commanders(client: Client, rig: RigFile) -> str:
     for source in rig.command_sources:
         if names := sorted(set(find_nodes(client, source.topic)[0])):
             return f"{source.topic} is commanded by {', '.join(names)}: stop that ({GHOST})"
+    return ""
+
+
+def describe_rest(rig: RigFile, command_types: Sequence[str]) -> str:
+    """Return in words the numbers of a command that are not theta's; empty: there are none."""
+    from koop_node.node.managed import message_type
+
+    for source, kind in zip(rig.command_sources, command_types, strict=True):
+        message = message_type(kind)()
+        for path in source.fields:
+            write_field(path, message, 1.0)
+        rest = [path for path in numbers_of(message) if path not in source.fields]
+        if rest and kind != THETA_TYPE:
+            sent = ", ".join(f"{format_field(p)} = {read_field(p, message):g}" for p in rest)
+            return f"{source.topic} is always sent with {sent}: is that safe? Else name it, too"
     return ""
 
 

@@ -41,6 +41,7 @@ from koop_commission.fitness.time_out import (
 )
 from koop_commission.rig.graph import (
     describe_other_commanders,
+    describe_rest,
     describe_second_rig,
     find_types,
 )
@@ -140,6 +141,8 @@ def check_rig(
             yield Finding(BAD, "arrival", text)
             return
         findings = [Finding(OK, "command", f"no other publisher on {command}")]
+        if text := describe_rest(rig, command_types):
+            findings = [Finding(NOTE, "command", text)]
         if text := describe_other_commanders(client, rig):
             findings = [Finding(BAD, "command", text)]
         findings += judge_samples(rig, samples, rig.pace, settings)
