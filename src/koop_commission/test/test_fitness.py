@@ -83,6 +83,7 @@ def test_stages_count_only_the_orders_that_could_be_drawn():
     [
         (0.5, "falls by 50 %"),
         (1.1, "rises by 10 %"),
+        (2.8, "rises by 180 %"),
         (4.0, "rises by a factor of 4"),
         (0.2, "falls by a factor of 5"),
     ],

@@ -101,7 +101,7 @@ def judge_channel(
     if summary.bad == 1.0:
         return Finding(BAD, "channel", f"{name} is never a number: dead sensor, or another field")
     if summary.bad:
-        text = f"{100 * summary.bad:.2g} % of {name} are not finite: the guard trips at the first"
+        text = f"{100 * summary.bad:.3g} % of {name} are not finite: the guard trips at the first"
         return Finding(BAD, "channel", text)
     if summary.dead:
         text = f"{name} is always {summary.low:g}: dead sensor, or to be left out of 'measured'"
@@ -120,7 +120,7 @@ def judge_channel(
     if summary.held > settings.stuck / 5.0:
         notes.append(rests)
     if summary.saturated:
-        notes.append(f"saturated for {100 * summary.saturated:.2g} % of the time")
+        notes.append(f"saturated for {100 * summary.saturated:.3g} % of the time")
     if summary.quantum > settings.coarse * summary.deviation:
         notes.append("coarse: the resolution is a good part of the deviation")
     return Finding(NOTE if notes else OK, "channel", "; ".join([text, *notes]))

@@ -101,4 +101,4 @@ def describe_change(change: float) -> str:
     if abs(change) > math.log(3.0):
         return f"{'rises' if change > 0 else 'falls'} by a factor of {math.exp(abs(change)):.3g}"
     share = 100.0 * (math.exp(change) - 1.0)
-    return f"{'rises' if share > 0 else 'falls'} by {abs(share):.2g} %"
+    return f"{'rises' if share > 0 else 'falls'} by {abs(share):.3g} %"

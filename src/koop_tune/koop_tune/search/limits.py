@@ -105,5 +105,5 @@ def _describe_cliff(cliff: Cliff, sense: float, theta_at: Callable[[float], floa
     verb = "rises" if sense > 0 else "falls"
     return (
         f"from {theta_at(cliff.inner):.4g} to {theta_at(cliff.outer):.4g} the amplitude {verb} by "
-        f"a factor of {math.exp(cliff.height):.2g} all at once"
+        f"a factor of {math.exp(cliff.height):.3g} all at once"
     )
