@@ -357,6 +357,15 @@ def test_loops_are_closed_longer_after_rounds_that_only_errors_kept_from_damping
     assert find_longer([far, begun, damped]) == 1
 
 
+def test_the_best_of_several_knobs_is_that_of_all_their_sections():
+    other = replace(FIT, knob=1, best=FIT.best - 0.3, error=0.02)
+    rig = replace(RIG, command="/b:z,w")
+    aim = replace(RESULT, others=[other]).make_aim(rig)
+    assert (aim.best, aim.error) == (other.best, other.error)
+    doubtful = replace(other, error=1.0)
+    assert replace(RESULT, others=[doubtful]).make_aim(rig).best == FIT.best
+
+
 def test_a_round_knows_no_less_than_the_one_before():
     aim = RESULT.make_aim(RIG)
     (first,) = rounds_of((False, None, 50.0))

@@ -205,7 +205,7 @@ class TuneResult:
     def make_aim(self, rig: RigFile) -> Aim:
         """Return the figures that a loop of the controller is compared with.
 
-        A knob without an effect may be anywhere.
+        The best is that of all sections. A knob without an effect may be anywhere.
 
         Raises
         ------
@@ -213,7 +213,8 @@ class TuneResult:
             If there is no controller.
         """
         fit, controller = self.require_controller()
-        best = rig.sense * fit.best
+        least = min(self.maps.values(), key=lambda each: rig.sense * each.best + each.error)
+        best = rig.sense * least.best
         levels = [level for each in self.maps.values() for level in each.holds.level]
         worst = float((rig.sense * np.log(levels)).max())
         knobs = [KnobAim(s, rest, (s.low, s.high))
@@ -221,7 +222,7 @@ class TuneResult:
         for k, each in self.maps.items():
             knobs[k] = KnobAim(rig.scales[k], each.theta_best, each.valley)
         return Aim(
-            fit.amplitude, fit.feature, tuple(knobs), rig.sense, fit.best, fit.error,
+            fit.amplitude, fit.feature, tuple(knobs), rig.sense, least.best, least.error,
             rig.sense * (best + CONVERGENCE.bound(worst - best)), controller.time, fit.growth,
             controller.predicted, tuple(fit.modes),
         )  # fmt: skip
