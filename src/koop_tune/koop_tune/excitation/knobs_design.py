@@ -57,6 +57,11 @@ class KnobsSettings(Settings):
     trend: float = judged(
         12.0, "chi-squared that a parabola takes off what a section has about a constant", low=0.0
     )
+    near: float = judged(
+        0.02,
+        "distance of a recorded hold from a place off all sections that stands for it",
+        low=0.0,
+    )
     same: float = judged(0.004, "distance of two holds at one place, in ranges", low=0.0)
     room: float = judged(
         0.15, "section that lines between knobs leave, at least, in ranges", low=0.0
@@ -364,6 +369,8 @@ class KnobsDesign:
 
     def _hold_at(self, u: Array, why: str) -> Iterator[KnobsMove]:
         """Hold once at some place."""
+        recorded = [hold.u for hold in self.recorded if np.abs(hold.u - u).max() < KNOBS.near]
+        u = recorded[0] if recorded else u  # a resumed one comes to about the same place
         self._done = self.held
         self._look_along(self._section, u)
         self._begin((), ())
