@@ -211,6 +211,15 @@ def test_holds_of_an_excitation_whose_time_was_over_count_where_it_has_more():
     assert len(again.held) > 0.9 * len(recorded)
 
 
+def test_off_the_sections_theta_is_held_no_longer_than_a_bowl_needs():
+    """Failed before: as long as the best of a map, up to half of an excitation's time."""
+    rig = SimulatedKnobs(diagonal)
+    rig.noise = 0.4
+    design, _ = run(KnobsDesign(KNOBS), rig)
+    off = [hold.size for hold, _ in design.held if "coupled" in hold.why or "bowl" in hold.why]
+    assert max(off) < np.median([hold.size for hold, _ in design.held])
+
+
 def test_a_resumed_excitation_need_not_come_to_the_very_place_off_the_sections(coupled):
     """Failed before: a bowl's least came out 1 % elsewhere, and theta was held there again."""
     rig, design, _ = coupled

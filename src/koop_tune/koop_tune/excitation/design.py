@@ -547,7 +547,9 @@ class Design:
             move.why,
         )  # fmt: skip
         self._next, self._usual, self._target = 0, self._wander(), self._target_error()
-        levels = [self.rig.sense * level.mean for level in self.levels()]
+        least = s.brief * self.windows.length
+        known = [*self.holds, *(hold for hold in self._others if hold.size >= least)]
+        levels = [self.rig.sense * hold.level(self.summed).mean for hold in known]
         self._best = min(levels, default=math.inf)
         self._elapsed = elapsed
         left = max(self.rig.time - elapsed, 0.0)

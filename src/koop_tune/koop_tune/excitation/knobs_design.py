@@ -31,8 +31,15 @@ from scipy.optimize import minimize
 
 from koop_core.config.parameter import Settings, judged
 from koop_tune.excitation.amplitude import Amplitude, Windows
-from koop_tune.excitation.bowl import Bowl, fit_bowl
-from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, Design, Move
+from koop_tune.excitation.bowl import BOWL, Bowl, fit_bowl
+from koop_tune.excitation.design import (
+    DESIGN,
+    FLAT,
+    KNOWN,
+    Design,
+    DesignSettings,
+    Move,
+)
 from koop_tune.excitation.holds import Hold, Level, usual_wander
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
@@ -327,11 +334,14 @@ class KnobsDesign:
             via = None if move.via is None else self._at(move.via)
             yield KnobsMove(self._at(move.u), via, move.why)
 
-    def _begin(self, holds: Sequence[Hold], first: Sequence[float] | None) -> None:
+    def _begin(
+        self, holds: Sequence[Hold], first: Sequence[float] | None,
+        settings: DesignSettings | None = None,
+    ) -> None:  # fmt: skip
         """Begin to decide about a knob, all holds elsewhere known."""
         if self._done or holds:  # else it is the first, which knows what was heard
             self._design = Design(
-                self._part, holds, None, self._of_section, self._design,
+                self._part, holds, None, settings or self._of_section, self._design,
                 [hold for hold, _ in self._done], first,
             )  # fmt: skip
 
@@ -373,7 +383,7 @@ class KnobsDesign:
         u = recorded[0] if recorded else u  # a resumed one comes to about the same place
         self._done = self.held
         self._look_along(self._section, u)
-        self._begin((), ())
+        self._begin((), (), replace(self._of_section, error=BOWL.error))
         yield KnobsMove(u, None, why)
         self._done += [(hold, u) for hold in self._design.holds]
         self._design.holds = []
