@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from koop_identify.recording.loaded import Loaded
-from koop_study.commissioning.excitation import as_loaded, excite, longest, training_of
-from koop_study.commissioning.work import EARLIER, NEXT
+from koop_study.commissioning.excitation import excite, longest
+from koop_study.commissioning.work import EARLIER, NEXT, Loops, commissioned
 from koop_study.family.config import FamilyConfig
 from koop_study.family.knobs import KnobsRig, draw_knobs
-from koop_study.family.loop import RigController, close, noise_of
+from koop_study.family.loop import ClosedRun, RigController, close, noise_of
 from koop_study.family.rig import RandomRig
 from koop_tune.excitation.bowl import find_starts
 from koop_tune.excitation.design import KNOWN
-from koop_tune.result.summary import summarise
-from koop_tune.search.agreement import find_disagreements, find_faults, measure
 from koop_tune.search.findings import NoOptimum
-from koop_tune.search.rounds import LoopRun, Round, find_slowdown, inform, kept_index
-from koop_tune.search.run import make_lifter
-from koop_tune.search.settings import VERIFICATION, TuningSettings
-from koop_tune.search.tune_knobs import tune_knobs
-
-Array = NDArray[np.float64]
 
 
 def commission_knobs(
@@ -57,56 +48,39 @@ def commission_knobs(
     }  # fmt: skip
     if design.ended != KNOWN or design.amplitude is None:
         return {**row, "verdict": design.ended or "time"}
-    steps, loaded = n * round(duration * own.time / dt), recorded.loaded
-    rounds: list[Round] = []
-    tried: list[tuple[list[str], list[float]]] = []
-    start: Any
-    while len(rounds) < VERIFICATION.rounds and not (rounds and rounds[-1].damped):
-        number = seed + len(rounds) * NEXT
-        settings = TuningSettings(
-            seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
-        )
-        try:
-            tuning = tune_knobs(
-                loaded, file, design.lines, training_of(own), design.amplitude, settings
-            )
-        except NoOptimum as no:
-            return {**row, "verdict": no.kind, "why": str(no)}
-        aim = inform(summarise(tuning).make_aim(file), rounds)
-        lifter = make_lifter(tuning.tuning.task, tuning.tuning.best.constants)
-        rests = aim.settings.before * max(aim.amplitude.windows.length, round(aim.time / dt))
-        runs, ratios, parts = [], [], [loaded]
-        for start in find_starts(file, *design.arrays):
-            begin, there, before = _rest(rig, start, rests, number + 2)
-            esc = replace(tuning.esc, theta_initial=start)
-            controller = RigController(lifter, esc, tuning.tuning.chosen.maps.cost.model)
-            noise = noise_of(begin, round(aim.longer * steps), number)
-            run = close(begin, controller, noise, number, rig)
-            measured = measure(aim, before, run.x, run.theta)
-            runs.append(LoopRun(start, measured))
-            ratios.append(run.ratio)
-            _, where, after = _rest(rig, measured.theta, rests, number + 2)
-            path = np.concatenate([there, run.theta, where])
-            parts.append(as_loaded(path, np.concatenate([before, run.x, after]), dt))
-        loaded, figures = Loaded.joined(parts), [run.measured for run in runs]
-        faults = find_faults(aim, figures)
-        agrees = not any(find_disagreements(aim, one) for one in figures)
-        rounds.append(
-            Round(len(rounds) + 1, aim.predicted, tuple(runs), agrees, not faults, best=aim.y)
-        )
-        tried.append((faults, ratios))
-    which = kept_index(rounds)
-    faults, ratios = tried[which]
-    return {
-        **row, "verdict": "tuned", "rounds": len(rounds), "faults": faults,
-        "damped": rounds[which].damped, "ratio": ratios,
-    }  # fmt: skip
+    starts = find_starts(file, *design.arrays)
+    loops = KnobsLoops(rig, starts, seed, n * round(duration * own.time / dt))
+    try:
+        tuning = commissioned(own, file, recorded, loops, seed, effort, row)
+        return {**row, "verdict": "tuned", "why": tuning.why}
+    except NoOptimum as no:
+        return {**row, "verdict": no.kind, "why": str(no)}
 
 
-def _rest(
-    rig: KnobsRig, theta: tuple[float, ...], count: int, seed: int
-) -> tuple[RandomRig, Array, Array]:
-    """Return the rig settled at a theta, and that and the channels for so many samples."""
-    settled = rig.starting_at(np.array(theta))
-    x = settled.record(np.full(count, settled.theta_initial), seed)[0]
-    return settled, np.tile(theta, (count, 1)), x
+class KnobsLoops(Loops):
+    """The loop of a rig with several knobs closed from two opposite corners."""
+
+    def __init__(
+        self, rig: KnobsRig, starts: Sequence[tuple[float, ...]], seed: int, steps: int
+    ) -> None:
+        super().__init__(rig.rig, seed, steps)
+        self._knobs, self._starts = rig, starts
+
+    def later(self, number: int, longer: float, passed: int) -> KnobsLoops:
+        """As of one knob; the optimum rests."""
+        steps = round(longer * self._steps)
+        return KnobsLoops(self._knobs, self._starts, self._seed + number * NEXT, steps)
+
+    def _settled(self, count: int, theta: tuple[float, ...]) -> RandomRig:
+        return self._knobs.starting_at(np.array(theta))
+
+    def close(self, controller: RigController) -> list[ClosedRun]:
+        """Close it with a controller."""
+        closed = []
+        start: Any
+        for start in self._starts:
+            begin = self._settled(0, start)
+            from_there = replace(controller, esc=replace(controller.esc, theta_initial=start))
+            noise = noise_of(begin, self._steps, self._seed)
+            closed.append(close(begin, from_there, noise, self._seed, self._knobs))
+        return closed

@@ -26,13 +26,14 @@ from koop_study.family.loop import (
     noise_of,
 )
 from koop_study.family.rig import RandomRig, draw
+from koop_tune.excitation.bowl import find_starts
 from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.result.summary import summarise
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.rounds import LoopRun, Round, find_slowdown, inform, kept_index
-from koop_tune.search.run import make_esc, make_lifter
+from koop_tune.search.run import make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tune_knobs import tune_knobs
 from koop_tune.search.tuning import Tuning
@@ -107,23 +108,23 @@ def commissioned(
     """
     rounds: list[Round] = []
     tried: list[tuple[Tuning, list[float]]] = []
-    starts, loaded = (file.theta_min, file.theta_max), recorded.loaded
+    design, loaded = recorded.design, recorded.loaded
+    starts = [tuple(np.atleast_1d(start)) for start in find_starts(file, *design.arrays)]
     while len(rounds) < VERIFICATION.rounds and not (rounds and rounds[-1].damped):
         settings = TuningSettings(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )
-        amplitude = recorded.design.amplitude
-        tuned = tune_knobs(loaded, file, {}, training_of(rig), amplitude, settings)
+        training = training_of(rig)
+        tuned = tune_knobs(loaded, file, design.lines, training, design.amplitude, settings)
         tuning = tuned.tuning
         passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
         aim = inform(summarise(tuned).make_aim(file), rounds)
         loops = first.later(len(rounds), aim.longer, passed) if rounds else first
-        task, constants, model = tuning.task, tuning.best.constants, tuning.chosen.maps.cost.model
-        esc = make_esc(task, constants, task.low)
-        closed = loops.close(RigController(make_lifter(task, constants), esc, model))
+        lifter = make_lifter(tuning.task, tuning.best.constants)
+        closed = loops.close(RigController(lifter, tuned.esc, tuning.chosen.maps.cost.model))
         before = [loops.rest(end, start, aim, 3 * OTHER) for end, start in enumerate(starts)]
         runs = tuple(
-            LoopRun((start,), measure(aim, rest, loop.x, loop.theta))
+            LoopRun(start, measure(aim, rest, loop.x, loop.theta))
             for start, rest, loop in zip(starts, before, closed, strict=True)
         )
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)
@@ -131,9 +132,11 @@ def commissioned(
         rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees, damped, best=aim.y))
         tried.append((tuning, [loop.ratio for loop in closed]))
         for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
-            (theta,) = run.measured.theta
+            theta = run.measured.theta
             after = loops.rest(end + 1, theta, aim, 5 * OTHER)
-            path = np.r_[np.full(len(rest), run.start[0]), loop.theta, np.full(len(after), theta)]
+            there, where = np.tile(run.start, (len(rest), 1)), np.tile(theta, (len(after), 1))
+            path = np.concatenate([there, loop.theta.reshape(-1, file.count), where])
+            path = path if file.count > 1 else path[:, 0]
             recording = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
             loaded = Loaded.joined([loaded, recording])
     which = kept_index(rounds)
@@ -168,12 +171,17 @@ class Loops:
         return [noise_of(rig, self._steps, self._seed + end * OTHER)
                 for end, rig in enumerate(self.rigs)]  # fmt: skip
 
-    def rest(self, count: int, theta: float, aim: Aim, other: int) -> NDArray[np.float64]:
+    def rest(
+        self, count: int, theta: tuple[float, ...], aim: Aim, other: int
+    ) -> NDArray[np.float64]:
         """Return what is measured, after so many loops, once the rig has settled at a theta."""
         windows = aim.amplitude.windows
         steps = aim.settings.before * max(windows.length, round(aim.time / windows.dt))
-        rig = replace(self._after(count), theta_initial=theta)
-        return rig.record(np.full(steps, theta), self._seed + other + count)[0]
+        rig = self._settled(count, theta)
+        return rig.record(np.full(steps, rig.theta_initial), self._seed + other + count)[0]
+
+    def _settled(self, count: int, theta: tuple[float, ...]) -> RandomRig:
+        return replace(self._after(count), theta_initial=theta[0])
 
     def close(self, controller: RigController) -> list[ClosedRun]:
         """Close it with a controller."""
