@@ -112,8 +112,6 @@ class KnobsDesign:
         The rig; its time may be set longer.
     ended : str
         As a Design's.
-    recorded : list of RecordedHold
-        What an interrupted one recorded where theta was not to go yet.
     sections : dict of int to list of Hold
         Holds of each knob that has an effect through the best, their ``u`` the knob's position.
     lines : dict of int to ndarray, shape (n,)
@@ -130,7 +128,7 @@ class KnobsDesign:
         self._useful = list(range(rig.count))
         self._to_come = 0  # holds after the present section, at least
         self._of_section = replace(DESIGN, gap=KNOBS.gap) if rig.count > 1 else DESIGN
-        self.recorded, self._arrivals = list(recorded), 0
+        self._recorded, self._arrivals = list(recorded), 0
         self._done: list[tuple[Hold, Array]] = []
         self._look_along(0, self.base)
         self._design = Design(rig.knob(0), settings=self._of_section)
@@ -196,9 +194,9 @@ class KnobsDesign:
 
     def _take_recorded(self, move: KnobsMove) -> bool:
         """Take the hold that was recorded there; return False if none was, or a short one."""
-        for i, recorded in enumerate(self.recorded):
+        for i, recorded in enumerate(self._recorded):
             if np.abs(recorded.u - move.u).max() < self._of_section.passed:
-                del self.recorded[i]
+                del self._recorded[i]
                 self.arrive(move, recorded.elapsed)
                 return self._design.take(recorded.x, ended=True)
         return False
@@ -379,7 +377,7 @@ class KnobsDesign:
 
     def _hold_at(self, u: Array, why: str) -> Iterator[KnobsMove]:
         """Hold once at some place."""
-        recorded = [hold.u for hold in self.recorded if np.abs(hold.u - u).max() < KNOBS.near]
+        recorded = [hold.u for hold in self._recorded if np.abs(hold.u - u).max() < KNOBS.near]
         u = recorded[0] if recorded else u  # a resumed one comes to about the same place
         self._done = self.held
         self._look_along(self._section, u)
