@@ -241,9 +241,10 @@ class Excitation:
         several = ", one knob after another" * (rig.count > 1)
         first = f"between {rig.spell('theta_min')} and {rig.spell('theta_max')}{several}, "
         first += "there and back, then "
-        needed = f"about {round_up(whole):g} s if what was heard is what it moves, "
-        needed *= whole <= left
-        if not needed:
+        needed = ""
+        if whole <= left:
+            needed = f"about {round_up(whole):g} s if what was heard is what it moves, "
+        else:
             print(
                 f"time = {rig.time:g} in the rig file is too short for the whole map: "
                 f"{self._state.longer}, now or when it is over",
