@@ -19,7 +19,7 @@ from koop_guard.guard import Cause
 from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
-from koop_lab.plots.report import plot_report
+from koop_lab.plots.signals import plot_signals
 from koop_lab.recorded.report import costs_of, describe, read
 from koop_loop.metrics import PAPER
 from koop_loop.parameters import make, with_model_beside
@@ -207,6 +207,8 @@ def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
     assert run.model is not None
     assert run.model.model_id == read(RUN / "bag").model.model_id
     run.signals.x[100:130] = np.nan
-    costs = {"r": run.signals.r}
-    plot_report(tmp_path / "report.png", run.signals, costs, None, None, "holes")
+    signals = run.signals
+    states = dict(zip(signals.names, signals.x.T, strict=True))
+    out = tmp_path / "report.png"
+    plot_signals(out, signals.t, states, {"r": signals.r}, {}, "holes", None)
     assert (tmp_path / "report.png").stat().st_size > 10_000

@@ -4,23 +4,18 @@ import json
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from scipy.linalg import expm
 
 from koop_core.stream.arrival import Arrival
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import read_signals
 from koop_lab.cli.main import main
-from koop_lab.plots.report import frequencies, mark_modes
 from koop_lab.recorded.report import costs_of, read
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.edmd import Gram
-from koopman_lifter.model import build, load
-from koopman_lifter.observables import Monomials
+from koopman_lifter.model import load
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 BEGIN = 1_700_000_000_000_000_000  # [ns] when the recorder started
@@ -227,25 +222,6 @@ def test_a_model_of_other_states_is_refused(joints, model, dt, measured, message
 
 
 # -- views --------------------------------------------------------------------------------------
-
-
-def panel():
-    return Figure().add_subplot()
-
-
-def test_the_modes_are_marked_where_the_oscillator_oscillates():
-    """x' = A x has the eigenvalues -0.1 +- 2j: 1 / pi Hz."""
-    step = expm(np.array([[-0.1, 2.0], [-2.0, -0.1]]) * DT)
-    states = np.stack([np.linalg.matrix_power(step, k) @ [1.0, 0.3] for k in range(500)], axis=1)
-    gram = Gram.empty(Monomials(2, 1))
-    gram.add_trajectory(states)
-    oscillator = build(gram, DT, ("p", "q"), 3, {})
-    np.testing.assert_allclose(sorted(frequencies(oscillator)), [0.0, 1 / np.pi, 1 / np.pi])
-    axis = panel()
-    mark_modes(axis, oscillator)
-    assert [line.get_xdata()[0] for line in axis.lines] == pytest.approx([1.0 / np.pi], abs=1e-8)
-    assert [text.get_text() for text in axis.texts] == ["0.318"]
-    assert axis.lines[0].get_label() == "mode kept (1 at 0 Hz)"
 
 
 def test_the_page_of_any_bag_is_drawn_under_a_model(pressure, model, tmp_path, capsys):

@@ -26,7 +26,7 @@ def register(commands: Any) -> None:
         "--plot",
         type=Path,
         metavar="FILE",
-        help="draw signals over time, spectra and the model's modes (png, svg, pdf)",
+        help="draw the run (png, svg, pdf)",
     )
     metrics.add_argument("--json", action="store_true", help="print all figures as JSON")
     metrics.add_argument(
@@ -42,10 +42,13 @@ def _metrics(args: argparse.Namespace) -> int:
 
     run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
     if args.plot is not None:
-        from koop_lab.plots.report import plot_report  # matplotlib takes half a second to import
+        from koop_lab.plots.signals import plot_signals  # matplotlib takes half a second to import
 
-        costs = costs_of(run, args.model)
-        plot_report(args.plot, run.signals, costs, run.model, run.theta_star, f"{args.run}")
+        signals, costs = run.signals, costs_of(run, args.model)
+        channels = dict(zip(signals.names, signals.x.T, strict=True))
+        thetas = {"theta": signals.theta} if signals.has_theta else {}
+        title = str(args.run)
+        plot_signals(args.plot, signals.t, channels, costs, thetas, title, run.theta_star)
     if args.json:
         print(json.dumps(figures(run, args.start), indent=1))
         return 0

@@ -67,7 +67,7 @@ def main(args: argparse.Namespace) -> int:
         if (folder / "bag").is_dir():
             print(f"\nthe run until here is in {folder}/: koop bag metrics and koop replay take it")
         raise
-    from koop_lab.plots.signals import plot_signals, true_states  # matplotlib is slow to import
+    from koop_lab.plots.signals import COST, plot_signals, true_states  # matplotlib is slow
 
     theta_star = parameters.plant.theta_star
     # the recorder of a very short run does not know all of these
@@ -79,8 +79,8 @@ def main(args: argparse.Namespace) -> int:
         folder / "plot.png",
         signals.t,
         true_states(truth) if truth.size else dict(zip(signals.names, signals.x.T, strict=True)),
-        signals.r,
-        signals.theta,
+        {COST: signals.r},
+        {"theta": signals.theta},
         f"Over DDS, {cost} cost, seed {parameters.plant.seed}, {parameters.pace.pace} pace",
         theta_star,
     )

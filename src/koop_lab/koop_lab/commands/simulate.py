@@ -41,14 +41,14 @@ def main(args: argparse.Namespace) -> int:
     result, metrics = run(parameters)
     elapsed = time.perf_counter() - started
     if args.plot is not None:
-        from koop_lab.plots.signals import plot_signals, true_states  # matplotlib is slow to import
+        from koop_lab.plots.signals import COST, plot_signals, true_states  # matplotlib is slow
 
         plot_signals(
             args.plot,
             result.t,
             true_states(result.ground_truth),
-            result.r,
-            result.theta,
+            {COST: result.r},
+            {"theta": result.theta},
             f"Offline, {cost} cost, seed {parameters.plant.seed}",
             parameters.plant.theta_star,
         )

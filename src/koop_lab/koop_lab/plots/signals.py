@@ -1,8 +1,8 @@
-"""State, cost and control input over time: the paper's figure of a run, and part of a report."""
+"""State, cost and control input over time: the paper's figure of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from koop_core.errors import InputError
 from koop_identify.recording.passes import each_knob
-from koop_loop.metrics import LOGGING_START
 from koop_loop.thinning import thin
 from koop_loop.training import STATE_NAMES
 
 POINTS = 4000  # columns of the drawing; more cannot be seen
+TRANSIENT = (
+    0.04  # share of the run that the axes of state and cost need not fit: 100 s of the paper
+)
+COST = "cost r (arbitrary unit:\nonly its slope counts)"
 Named = Mapping[str, NDArray[np.float64]]
 
 
@@ -28,12 +30,12 @@ def plot_signals(
     path: Path,
     t: NDArray[np.float64],
     states: Named,
-    r: NDArray[np.float64],
-    theta: NDArray[np.float64],
+    costs: Named,
+    thetas: Named,
     title: str,
-    theta_star: float | tuple[float, ...],
+    theta_star: float | tuple[float, ...] | None,
 ) -> None:
-    """Draw a run of the simulated plant as in figures 5 and 6 of the paper.
+    """Draw a run as in figures 5 and 6 of the paper.
 
     Parameters
     ----------
@@ -43,68 +45,37 @@ def plot_signals(
         Time [s].
     states : mapping of str to ndarray, shape (M,)
         By their labels.
-    r, theta : ndarray, shape (M,)
-        Cost and control input; theta of n > 1 knobs of shape (M, n).
+    costs : mapping of str to ndarray, shape (M,)
+        One or two, each with an axis of its own.
+    thetas : mapping of str to ndarray, shape (M,)
+        Control input, of n > 1 knobs of shape (M, n); empty: it is not known.
     title : str
         Heading.
-    theta_star : float, or one for each knob
+    theta_star : float, one for each knob, or None
         Optimal control input, a dashed line.
-    """
-    figure, axes = plt.subplots(3, 1, sharex=True, figsize=(8, 7), layout="constrained")
-    figure.suptitle(title)
-    # the initial transient, which the paper leaves out, is orders of magnitude larger
-    after = t >= LOGGING_START if t[-1] > LOGGING_START else t >= t[0]
-    cost = {"cost r (arbitrary unit:\nonly its slope counts)": r}
-    draw_signals(axes, t, states, cost, {"theta": theta}, theta_star, after)
-    axes[2].set_xlabel("time [s]")
-    save(figure, path)
-
-
-def true_states(truth: NDArray[np.float64]) -> Named:
-    """Return the states of our plant, shape (M, 2), by their labels."""
-    return {f"true {name}": x for name, x in zip(STATE_NAMES, truth.T, strict=True)}
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure and close it.
 
     Raises
     ------
     koop_core.errors.InputError
         If the ending of the file is not a format.
     """
+    figure, axes = plt.subplots(3, 1, sharex=True, figsize=(8, 7), layout="constrained")
     formats = figure.canvas.get_supported_filetypes()
     ending = path.suffix.lstrip(".").lower()
     if ending and ending not in formats:
         raise InputError(f"{path}: '{ending}' is not a format: choose png, svg or pdf")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-def draw_signals(
-    axes: Sequence[Axes],
-    t: NDArray[np.float64],
-    channels: Named,
-    costs: Named,
-    thetas: Named,
-    theta_star: float | tuple[float, ...] | None,
-    after: NDArray[np.bool_],
-) -> None:
-    """Draw states, costs and control inputs into three axes; the first two fit what is ``after``.
-
-    Each of two costs has an axis of its own.
-    """
+    figure.suptitle(title)
     state, cost, theta = axes
-    for axis, label, curves in (
-        (state, "state", channels),
-        (theta, "control input θ", thetas),
-    ):
+    after = t >= t[0] + TRANSIENT * (t[-1] - t[0])
+    for axis, label, curves in ((state, "state", states), (theta, "control input θ", thetas)):
         for name, values in curves.items():
             for each, column in each_knob(name, values).items():
-                envelope(axis, t, column, each)
+                _envelope(axis, t, column, each)
         axis.set_ylabel(label)
-    fit(state, np.stack([values[after] for values in channels.values()]))
-    state.legend(loc="upper right", ncols=max(4, len(channels)), fontsize="small")
+    _fit(state, np.stack([values[after] for values in states.values()]))
+    state.legend(loc="upper right", ncols=max(4, len(states)), fontsize="small")
+    if not thetas:
+        theta.text(0.5, 0.5, "theta is not known", ha="center", transform=theta.transAxes)
     for best in [] if theta_star is None else np.atleast_1d(theta_star):
         theta.axhline(best, linestyle="--", color="black", linewidth=1.0)
         theta.annotate("θ*", (t[-1], best), xytext=(3, 0), textcoords="offset points", va="center")
@@ -112,21 +83,29 @@ def draw_signals(
         axis = cost.twinx() if i else cost
         axis.set_ylabel(name, color=f"C{3 * i}")
         if np.isfinite(values[after]).any():
-            envelope(axis, t, values, name, f"C{3 * i}")
-            fit(axis, values[after])
+            _envelope(axis, t, values, name, f"C{3 * i}")
+            _fit(axis, values[after])
     for axis in axes:
         axis.grid(alpha=0.3)
         axis.margins(x=0.0)
+    theta.set_xlabel("time [s]")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
-def fit(axis: Axes, y: NDArray[np.float64]) -> None:
+def true_states(truth: NDArray[np.float64]) -> Named:
+    """Return the states of our plant, shape (M, 2), by their labels."""
+    return {f"true {name}": x for name, x in zip(STATE_NAMES, truth.T, strict=True)}
+
+
+def _fit(axis: Axes, y: NDArray[np.float64]) -> None:
     """Let the vertical axis fit the values, a little wider."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     margin = 0.05 * (high - low) or 1.0
     axis.set_ylim(low - margin, high + margin)
 
 
-def envelope(
+def _envelope(
     axis: Axes,
     t: NDArray[np.float64],
     y: NDArray[np.float64],
