@@ -93,7 +93,6 @@ def rig_metrics(
     x: NDArray[np.float64],
     theta: NDArray[np.float64] | None,
     limited: NDArray[np.bool_] | None = None,
-    start: float | None = None,
 ) -> RigMetrics:
     """Judge a run.
 
@@ -107,23 +106,14 @@ def rig_metrics(
         Control input of one or of n knobs; NaN where it is not known.
     limited : ndarray of bool, shape (M,), or None
         Whether theta is at a limit.
-    start : float, optional
-        Time before which the run is left out [s].
 
     Raises
     ------
     koop_core.errors.InputError
         If there is nothing to judge.
     """
-    if start is not None:
-        kept = t >= start
-        t, x = t[kept], x[kept]
-        theta = None if theta is None else theta[kept]
-        limited = None if limited is None else limited[kept]
     if t.size < 2 * METRICS.shortest:
-        raise InputError(
-            f"{t.size} states" + ("" if start is None else f" from {start:g} s on") + " are too few"
-        )
+        raise InputError(f"{t.size} states are too few")
     dt = float(np.median(np.diff(t)))
     begin, end = float(t[0]), float(t[-1]) + dt
     length = round(max(_window(x, dt, end - begin), METRICS.shortest * dt) / dt)

@@ -29,10 +29,6 @@ def register(commands: Any) -> None:
         help="draw the run (png, svg, pdf)",
     )
     metrics.add_argument("--json", action="store_true", help="print all figures as JSON")
-    metrics.add_argument(
-        "--start", type=float, metavar="S",
-        help="leave out what is before, but for the paper's metrics, which begin at 100 s",
-    )  # fmt: skip
     add_reading_options(metrics.add_argument_group("a bag of other messages than the loop's"))
     metrics.set_defaults(func=_metrics)
 
@@ -50,9 +46,9 @@ def _metrics(args: argparse.Namespace) -> int:
         title = str(args.run)
         plot_signals(args.plot, signals.t, channels, costs, thetas, title, run.theta_star)
     if args.json:
-        print(json.dumps(figures(run, args.start), indent=1))
+        print(json.dumps(figures(run), indent=1))
         return 0
-    print(describe(run, args.start))
+    print(describe(run))
     if args.plot is not None:
         print(f"written to {args.plot}")
     return 0

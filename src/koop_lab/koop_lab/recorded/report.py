@@ -149,9 +149,7 @@ def _commanded(text: str, namespace: str) -> list[Source]:
     ]
 
 
-def rig_metrics_of(
-    run: RecordedRun, start: float | None = None
-) -> tuple[RigMetrics, tuple[str, ...]]:
+def rig_metrics_of(run: RecordedRun) -> tuple[RigMetrics, tuple[str, ...]]:
     """Return the metrics that need no theta*, and the names of their channels.
 
     What was measured while the guard held theta, tripped, is not the loop's.
@@ -165,14 +163,14 @@ def rig_metrics_of(
         channels[run.loop.tripped] = np.nan
         if theta is not None:
             theta[run.loop.tripped] = np.nan
-    metrics = rig_metrics(signals.t, channels, theta, signals.limited, start)
+    metrics = rig_metrics(signals.t, channels, theta, signals.limited)
     return metrics, signals.names + true
 
 
-def figures(run: RecordedRun, start: float | None = None) -> dict[str, Any]:
-    """Return all figures of a run, in JSON terms; the rig's leave out what is before ``start``."""
+def figures(run: RecordedRun) -> dict[str, Any]:
+    """Return all figures of a run, in JSON terms."""
     signals, loop, metrics = run.signals, run.loop, run.metrics
-    rig, names = rig_metrics_of(run, start)
+    rig, names = rig_metrics_of(run)
     result: dict[str, Any] = {"steps": int(signals.t.size), "dt": signals.dt}
     if loop is not None:
         result |= {"steps": loop.counts["state"], "lost": loop.lost}
@@ -188,10 +186,10 @@ def figures(run: RecordedRun, start: float | None = None) -> dict[str, Any]:
     return {**result, **rig.as_dict(names), "coverage": coverage, "way": signals.way}
 
 
-def describe(run: RecordedRun, start: float | None = None) -> str:
+def describe(run: RecordedRun) -> str:
     """Return in words and tables what a run achieved."""
     signals, loop, metrics = run.signals, run.loop, run.metrics
-    rig, names = rig_metrics_of(run, start)
+    rig, names = rig_metrics_of(run)
     duration = float(signals.t[-1] - signals.t[0]) + signals.dt
     lines = [metrics_table(metrics, run.cost, duration), ""] if metrics is not None else []
     if loop is not None and loop.trips is not None:
