@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import re
 import textwrap
-from collections import Counter
 from dataclasses import Field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +26,6 @@ from koop_tune.rig.rig_file import RigFile
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 100
-SHARED = 3  # commands that an option with the same words must have to be listed once for all
 FEW = 25  # characters that an option's choices may have to stand beside it
 COMMON = {"every node": (NodeConfig,)}
 LOOP = {
@@ -138,12 +136,9 @@ def flag(action: argparse.Action) -> str:
 def commands_page() -> str:
     """Return docs/reference/commands.md."""
     found, count = commands(parser()), counts()
-    uses = Counter((flag(o), o.help or "") for c in found.values() for o in c.options)
-    shared = {use for use, number in uses.items() if number >= SHARED}
     head = (
         f"{count['commands']} commands with {count['options']} options, written by "
-        "`scripts/reference.py`. `./koop COMMAND --help` has every word; options that several "
-        "commands share stand at the end."
+        "`scripts/reference.py`. `./koop COMMAND --help` has every word."
     )
     lines = ["# Commands", "", *textwrap.wrap(head, WIDTH), "", "| | |", "|---|---|"]
     for block in overview().strip().split("\n\n"):
@@ -152,26 +147,16 @@ def commands_page() -> str:
         for word, summary in (line.split(maxsplit=1) for line in listed):
             for name, command in found.items():
                 if name.split()[0] == word:
-                    lines += command_rows(name, command, command.summary or summary, shared)
+                    lines += command_rows(name, command, command.summary or summary)
     lines.append("| **Workspace** | |")
     lines += [row(f"**`koop {words}`**", meaning) for words, meaning in workspace_commands()]
-    lines.append("| **Options of several commands** | |")
-    lines += [row(f"`{name}`", text) for name, text in sorted(shared)]
     return "\n".join(lines) + "\n"
 
 
-def command_rows(
-    name: str, command: Command, summary: str, shared: set[tuple[str, str]]
-) -> list[str]:
+def command_rows(name: str, command: Command, summary: str) -> list[str]:
     """Return the rows of a command and its options."""
     lines = [row(f"**`koop {f'{name} {command.arguments}'.strip()}`**", summary)]
-    also = []
-    for option in command.options:
-        if (flag(option), option.help or "") in shared:
-            also.append(f"`{max(option.option_strings, key=len)}`")
-        else:
-            lines.append(row(f"`{flag(option)}`", option.help or ""))
-    return lines + [f"| | and {', '.join(also)} |"] * bool(also)
+    return lines + [row(f"`{flag(option)}`", option.help or "") for option in command.options]
 
 
 def parameters_page() -> str:

@@ -37,18 +37,9 @@ def registered() -> dict[str, list[EntryPoint]]:
     return commands
 
 
-def known_commands() -> str:
+def overview() -> str:
     """Return what every command of this workspace does, in groups, as ``./koop --help`` has it."""
     return (files("koop_lab.cli") / "commands.txt").read_text(encoding="utf-8")
-
-
-def overview() -> str:
-    """Return what every command does, in groups, also those of other packages."""
-    text = known_commands()
-    others = registered().keys() - set(re.findall(r"^  (\w+)", text, re.MULTILINE))
-    return text + "".join(
-        ["\nothers\n", *(f"  {name}\n" for name in sorted(others))] if others else ""
-    )
 
 
 def parser(*names: str) -> argparse.ArgumentParser:
@@ -61,7 +52,7 @@ def parser(*names: str) -> argparse.ArgumentParser:
     entries = registered()
     for register in dict.fromkeys(e.load() for name in names or entries for e in entries[name]):
         register(commands)
-    summaries = dict(re.findall(r"^  (\w+) +(.+)$", known_commands(), re.MULTILINE))
+    summaries = dict(re.findall(r"^  (\w+) +(.+)$", overview(), re.MULTILINE))
     for name, command in commands.choices.items():
         command.description = command.description or summaries.get(name)
     return result
