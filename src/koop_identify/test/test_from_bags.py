@@ -70,6 +70,15 @@ def test_dt_is_that_of_the_messages_where_nothing_else_tells_it(tmp_path):
     np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-3)
 
 
+@pytest.mark.parametrize("dt", [None, DT])
+@pytest.mark.parametrize("clock", [np.floor, np.zeros_like], ids=["whole seconds", "stopped"])
+def test_stamps_that_do_not_advance_are_refused(tmp_path, clock, dt):
+    t = np.arange(400) * DT
+    bag = write_joints(tmp_path / "bag", clock(t), oscillation(t))
+    with pytest.raises(InputError, match="stamps of most messages on /joint_states do not adv"):
+        train_from_bags([bag], BagTraining(BagReading(JOINTS, dt=dt), degree=1, modes=3))
+
+
 def test_samples_without_stamps_at_another_rate_are_interpolated_in_counted_time(tmp_path):
     t = np.arange(12_000) * DT / 4.0
     at = received(t, np.random.default_rng(5), size=0.25)

@@ -67,11 +67,14 @@ def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[
     period = _period(first)
     recorded = recorded_values(bag, path, topic.rpartition("/")[0] or "/")
     recorded_dt = recorded.get("koopman_lifter", {}).get("dt")
-    if period <= 0.0 and not (first.stamped or first.step is not None):
-        raise InputError(
-            f"{path}: messages on {topic} have no stamp and were all received at one time"
-        )
     dt = float(reading.dt or recorded_dt or _sampling_time(first, period))
+    if period <= 0.0 and (first.step is None or dt <= 0.0):
+        why = (
+            f"the stamps of most messages on {topic} do not advance"
+            if first.stamped
+            else f"messages on {topic} have no stamp and were all received at one time"
+        )
+        raise InputError(f"{path}: {why}")
     stepped = recorded_dt == dt or abs(_step_time(first) / dt - 1.0) < READING.stepped
     way = "steps" if first.step is not None and stepped else "linear"
     counted = way == "linear" and not first.stamped
