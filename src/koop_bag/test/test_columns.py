@@ -14,7 +14,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
 
-from koop_bag.bag.columns import iter_columns, list_fields, read_columns, read_tables
+from koop_bag.bag.columns import iter_tables, list_fields, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
@@ -214,9 +214,8 @@ def value_of(kind, length, rng):
 def test_columns_come_in_batches_that_add_up(write_loop):
     with BagReader(write_loop(n=3000)) as reader:
         whole = read_columns(reader, "/ground_truth", ["step", "x", "log_time"])
-        parts = list(
-            iter_columns(reader, "/ground_truth", ["step", "x", "log_time"], batch_bytes=50_000)
-        )
+        tables = {"/ground_truth": ["step", "x", "log_time"]}
+        parts = [part for _, part in iter_tables(reader, tables, batch_bytes=50_000)]
     assert len(parts) > 10
     for name, column in whole.items():
         assert np.array_equal(np.concatenate([part[name] for part in parts]), column)
@@ -326,11 +325,11 @@ def test_a_field_of_the_message_may_be_named_like_a_stored_one(tmp_path, monkeyp
 
 MEASURE = """
 import resource, sys
-from koop_bag.bag.columns import iter_columns
+from koop_bag.bag.columns import iter_tables
 from koop_bag.bag.reader import BagReader
 total = 0.0
 with BagReader(sys.argv[1]) as reader:
-    for columns in iter_columns(reader, "/state", ["step", "x"]):
+    for _, columns in iter_tables(reader, {"/state": ["step", "x"]}):
         total += float(columns["x"].sum())
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """

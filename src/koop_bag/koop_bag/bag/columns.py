@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -83,20 +83,12 @@ def read_tables(bag: BagReader, tables: Mapping[str, Sequence[str] | None]) -> d
         parts[topic].append(columns)
     joined: dict[str, Columns] = {}
     for topic, fields in tables.items():
-        names = _table(bag, topic, fields).fields
+        names = list_fields(bag, topic) if fields is None else fields
         batches = parts.pop(topic) or [{name: np.empty(0) for name in names}]
         joined[topic] = {
             name: _join(name, [batch.pop(name) for batch in batches]) for name in names
         }
     return joined
-
-
-def iter_columns(
-    bag: BagReader, topic: str, fields: Sequence[str] | None = None, batch_bytes: int = BATCH_BYTES
-) -> Iterator[Columns]:
-    """`read_columns` in batches: the memory needed does not grow with the bag."""
-    for _, columns in iter_tables(bag, {topic: fields}, batch_bytes):
-        yield columns
 
 
 def iter_tables(
@@ -105,72 +97,43 @@ def iter_tables(
     batch_bytes: int = BATCH_BYTES,
     start: int = 0,
 ) -> Iterator[tuple[str, Columns]]:
-    """`read_tables` in batches of (topic, columns), without chunks that end before `start` [ns]."""
-    decoders = {topic: _table(bag, topic, fields) for topic, fields in tables.items()}
-    return iter_decoded(bag, decoders, batch_bytes, start)
+    """`read_tables` in batches of (topic, columns): the memory needed does not grow with the bag.
 
-
-def iter_decoded(
-    bag: BagReader,
-    decoders: Mapping[str, TopicDecoder],
-    batch_bytes: int = BATCH_BYTES,
-    start: int = 0,
-) -> Iterator[tuple[str, Columns]]:
-    """Yield (topic, columns) of each decoder, in batches."""
+    Chunks that end before `start` [ns since the epoch] are passed over.
+    """
+    wanted = {topic: _want(bag, topic, fields) for topic, fields in tables.items()}
     pending: list[bytes] = []
     names: dict[int, str] = {}
     size = 0
-    for records, channels in bag.blocks(decoders, start):
+    for records, channels in bag.blocks(wanted, start):
         if pending and (
             size >= batch_bytes or channels != names
         ):  # another file may number its channels otherwise
-            yield from _decode_batch(b"".join(pending), names, decoders)
+            yield from _decode_batch(b"".join(pending), names, wanted)
             pending, size = [], 0
         names = channels
         pending.append(records)
         size += len(records)
     if pending:
-        yield from _decode_batch(b"".join(pending), names, decoders)
+        yield from _decode_batch(b"".join(pending), names, wanted)
 
 
-class TopicDecoder:
-    """The wanted columns of one topic.
+class _Wanted(NamedTuple):
+    """The wanted columns of a topic, and what finds the layout of a message with its fields."""
 
-    Parameters
-    ----------
-    topic : str
-        Its name, for errors.
-    fields : sequence of str
-        Columns, those that every topic has included.
-    find : callable
-        Finds the layout of a message, with the spans of the other fields.
-    """
-
-    def __init__(self, topic: str, fields: Sequence[str], find: Callable[[bytes], Layout]) -> None:
-        self._topic, self.fields, self._find = topic, fields, find
-
-    def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
-        """Columns of the message records whose content starts at `starts`."""
-        fixed = MESSAGE_HEAD.size
-        try:
-            columns = decode(buffer, starts + fixed, sizes - fixed, self._find)
-        except BagError as error:
-            raise BagError(f"topic {self._topic}: {error}") from error
-        for name, (offset, dtype) in STORED.items():
-            if name in self.fields:
-                columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]
-        return {name: columns[name] for name in self.fields}
+    columns: Sequence[str]
+    find: Callable[[bytes], Layout]
 
 
-def _table(bag: BagReader, topic: str, fields: Sequence[str] | None) -> TopicDecoder:
+def _want(bag: BagReader, topic: str, fields: Sequence[str] | None) -> _Wanted:
     root = definition_of(bag, topic)
-    names = _names(root) if fields is None else fields
-    finder = LayoutFinder(root, tuple(name for name in names if name not in STORED))
-    return TopicDecoder(topic, names, finder.find)
+    columns = _names(root) if fields is None else fields
+    finder = LayoutFinder(root, tuple(name for name in columns if name not in STORED))
+    return _Wanted(columns, finder.find)
 
 
 def _decode_batch(
-    records: bytes, names: dict[int, str], tables: Mapping[str, TopicDecoder]
+    records: bytes, names: dict[int, str], tables: Mapping[str, _Wanted]
 ) -> Iterator[tuple[str, Columns]]:
     places: dict[int, list[int]] = {number: [] for number in names}
     # The one loop over messages: opcode, length and channel in one step, no call but the unpacking.
@@ -188,7 +151,23 @@ def _decode_batch(
     for number, pairs in places.items():
         if pairs:
             where = np.array(pairs, np.int64)
-            yield names[number], tables[names[number]].decode(buffer, where[::2], where[1::2])
+            topic = names[number]
+            yield topic, _decode_topic(topic, tables[topic], buffer, where[::2], where[1::2])
+
+
+def _decode_topic(
+    topic: str, wanted: _Wanted, buffer: Bytes, starts: Offsets, sizes: Offsets
+) -> Columns:
+    """Columns of the message records whose content starts at `starts`."""
+    fixed = MESSAGE_HEAD.size
+    try:
+        columns = decode(buffer, starts + fixed, sizes - fixed, wanted.find)
+    except BagError as error:
+        raise BagError(f"topic {topic}: {error}") from error
+    for name, (offset, dtype) in STORED.items():
+        if name in wanted.columns:
+            columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]
+    return {name: columns[name] for name in wanted.columns}
 
 
 def _join(name: str, arrays: list[NDArray[Any]]) -> NDArray[Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.columns import LOG_TIME, iter_columns, list_fields
+from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
 from koop_bag.bag.files import find_files
 from koop_bag.bag.reader import BagReader
 from koop_bag.mcap.stored_file import open_stored
@@ -72,7 +72,7 @@ def batches(bag: BagReader, source: Source) -> Iterator[Batch]:
     names = set(list_fields(bag, source.topic))
     fields = [*dict.fromkeys((*source.names, *(names & {STAMP, STEP}), LOG_TIME))]
     first, stamped = True, STAMP in names
-    for columns in iter_columns(bag, source.topic, fields):
+    for _, columns in iter_tables(bag, {source.topic: fields}):
         if first:
             stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros
             first = False
