@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from koop_bag.bag.losses import LossCounter, StepReport, complete_from, count_losses
+from koop_bag.bag.losses import LossCounter, StepReport, count_losses
 
 CASES = {
     "nothing": ([], StepReport()),
@@ -59,9 +59,3 @@ def test_columns_that_come_in_batches_count_as_one(steps, expected, size):
 def test_steps_that_go_back_do_not_wrap_around():
     # unsigned steps: the plain difference of 0 after 5 would be 2**64 - 5
     assert count_losses(np.array([5, 0], np.uint64)).lost == 0
-
-
-def test_the_loop_is_complete_from_the_latest_of_its_topics_on():
-    first = {"/state": 0, "/cost": 640, "/theta": 12, "/two/state": 0, "/two/cost": 0}
-    assert complete_from(first) == {"": 640, "/two": 0}
-    assert complete_from({}) == {}

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
-from koop_bag.bag.losses import LossCounter, StepReport, complete_from, early_ends
+from koop_bag.bag.losses import LossCounter, StepReport, early_ends
 from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader
-from koop_bag.cdr.header import has_step
+from koop_bag.cdr.definition import has_step
 
 
 @dataclass
@@ -48,7 +48,6 @@ class BagInfo:
     duration: float
     messages: int
     topics: list[TopicInfo]
-    complete_from: dict[str, int]
     model_ids: list[str]
     custom: dict[str, str]
 
@@ -102,7 +101,6 @@ def describe(bag: BagReader) -> BagInfo:
         bag.duration,
         bag.message_count,
         topics=topics,
-        complete_from=complete_from({t.name: t.steps.first for t in topics if t.steps is not None}),
         model_ids=[model for model in models if model],
         custom=bag.custom_data(),
     )
@@ -119,9 +117,6 @@ def as_text(info: BagInfo, with_parameters: bool = False) -> str:
         f"time      {begin}, {info.duration:.3f} s",
         f"messages  {info.messages}",
     ]
-    for loop, step in info.complete_from.items():
-        if step:
-            lines.append(f"complete  from step {step} on: the first of all topics of {loop}/")
     if info.model_ids:
         lines.append(f"model     {', '.join(info.model_ids)}")
     if revision := info.custom.get("git_revision"):

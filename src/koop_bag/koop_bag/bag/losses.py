@@ -174,18 +174,3 @@ def early_ends(last: Mapping[str, int]) -> dict[str, int]:
         ends[loop] = max(ends.get(loop, -1), step)
     missing = {topic: ends[topic.rpartition("/")[0]] - step for topic, step in last.items()}
     return {topic: count for topic, count in missing.items() if count > 1}
-
-
-def complete_from(first: Mapping[str, int]) -> dict[str, int]:
-    """Return the step from which on all topics of a loop are recorded, by namespace.
-
-    Parameters
-    ----------
-    first : mapping of str to int
-        First step by topic. Topics of one namespace belong to one loop.
-    """
-    complete: dict[str, int] = {}
-    for topic, step in first.items():
-        loop = topic.rpartition("/")[0]
-        complete[loop] = max(complete.get(loop, 0), step)
-    return complete

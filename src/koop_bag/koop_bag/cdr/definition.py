@@ -53,6 +53,14 @@ def parse_definition(type_name: str, text: str) -> Struct:
     return _Parser(definitions).struct(f"{package}/{name}")[0]
 
 
+def has_step(type_name: str, text: str) -> bool:
+    """Return whether messages of a type begin with `std_msgs/Header` and `uint64 step`."""
+    match parse_definition(type_name, text).fields:
+        case ((_, Struct(name="std_msgs/Header")), ("step", kind), *_):
+            return kind == _BUILTIN["uint64"]
+    return False
+
+
 def message_types(text: str, package: str) -> Iterator[str]:
     """Yield the full names of the message types in one definition of a package."""
     for _, name, _ in _fields(text, package):

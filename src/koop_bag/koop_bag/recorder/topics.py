@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from koop_bag.bag.losses import LOSSES, LossCounter
 from koop_bag.bag.metadata import OfferedQos
-from koop_bag.cdr.header import has_step
+from koop_bag.cdr.definition import has_step
 from koop_bag.cdr.schema import MessageSchema, load_schema
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
 from koop_bag.recorder.drain import NONE, Drain, Rows
