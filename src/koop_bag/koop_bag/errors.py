@@ -13,10 +13,6 @@ class BagWriteError(BagError):
     """A bag could not be written on; what was written before stays readable."""
 
 
-class DiskFullError(BagWriteError):
-    """No space, quota or file size left."""
-
-
 def compressed(path: Path) -> BagError:
     """Return the error of a bag that rosbag2 compressed by message or by file."""
     return BagError(

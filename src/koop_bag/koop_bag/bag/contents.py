@@ -23,7 +23,8 @@ class FileContents:
     counts: dict[int, int] = field(default_factory=dict)
     start: int = 2**63 - 1
     end: int = 0
-    notes: dict[str, dict[str, str]] = field(default_factory=dict)
+    description: str = ""
+    """The bag's, as its recorder last wrote it here."""
 
 
 def survey(file: McapFile) -> FileContents:
@@ -78,7 +79,8 @@ def _note(contents: FileContents, opcode: int, data: bytes, where: int) -> None:
         contents.schemas[schema.id] = schema
     elif opcode == Opcode.METADATA:
         metadata = file.parse_bytes(Metadata, data, where)
-        contents.notes[metadata.name] = metadata.metadata
+        if metadata.name == "rosbag2":
+            contents.description = metadata.metadata.get("serialized_metadata", "")
 
 
 def message_records(file: McapFile, start: int) -> Iterator[bytes]:

@@ -165,17 +165,16 @@ def bag_map(
     }
 
 
-def read_description(notes: Mapping[str, Mapping[str, str]], folder: Path) -> dict[Any, Any]:
+def read_description(text: str, folder: Path) -> dict[Any, Any]:
     """Return the inner map of a bag's `metadata.yaml`; empty where there is none.
 
-    It is read from the bag's metadata records, or else from the file in its folder.
+    It is read from the text in the bag's own record, or else from the file in its folder.
 
     Raises
     ------
     BagError
         If it is not valid YAML.
     """
-    text = notes.get("rosbag2", {}).get("serialized_metadata", "")
     described = parse_map(text, "metadata record")
     beside = folder / "metadata.yaml"
     if not described and beside.is_file():

@@ -1,7 +1,7 @@
 """Reads a bag: a rosbag2 MCAP folder or a single file, whole or torn."""
 
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, closing, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -44,7 +44,7 @@ class BagTopic:
     count: int = 0
 
 
-class BagReader:
+class BagReader(AbstractContextManager["BagReader"]):
     """A bag.
 
     Parameters
@@ -63,8 +63,6 @@ class BagReader:
         First and last log time [ns since the epoch]; 0 for an empty bag.
     complete : bool
         False if the recorder did not close the bag. It is read up to its last complete chunk.
-    notes : dict of str to dict of str to str
-        The metadata records of the files.
 
     Raises
     ------
@@ -77,7 +75,6 @@ class BagReader:
         self.files = find_files(self.path)
         self._topics: dict[str, BagTopic] = {}
         self.message_count = 0
-        self.notes: dict[str, dict[str, str]] = {}
         self._contents: list[FileContents] = []
         with ExitStack() as opened:
             for file in self.files:
@@ -107,7 +104,8 @@ class BagReader:
     @cached_property
     def description(self) -> dict[Any, Any]:
         """The inner map of the bag's `metadata.yaml`; empty where there is none."""
-        return read_description(self.notes, self.files[0].parent)
+        texts = [item.description for item in self._contents if item.description]
+        return read_description(texts[-1] if texts else "", self.files[0].parent)
 
     def custom_data(self) -> dict[str, str]:
         """Return the bag's `custom_data`."""
@@ -185,14 +183,10 @@ class BagReader:
         """Close the files."""
         self._files.close()
 
-    def __enter__(self) -> "BagReader":
-        return self
-
     def __exit__(self, *error: object) -> None:
         self.close()
 
     def _take_in(self, item: FileContents) -> None:
-        self.notes.update(item.notes)
         for number, channel in item.channels.items():
             schema = item.schemas.get(channel.schema_id)
             type_name, text = (

@@ -45,8 +45,7 @@ class Recovery:
 def recover(source: str | Path, target: str | Path) -> Recovery:
     """Copy everything readable of `source` into a new bag `target`; the source is not touched.
 
-    Times, sequence numbers, topics, QoS, custom data and notes are kept, so that gaps still show as
-    gaps.
+    Times, sequence numbers, topics, QoS and custom data are kept, so that gaps still show as gaps.
 
     Raises
     ------
@@ -79,9 +78,9 @@ def _description(files: Sequence[McapFile]) -> dict[Any, Any]:
             with suppress(BagError):
                 note = file.parse(Metadata, place)
                 if note.name == "rosbag2":
-                    return read_description({note.name: note.metadata}, folder)
+                    return read_description(note.metadata.get("serialized_metadata", ""), folder)
     with suppress(BagError):
-        return read_description({}, folder)
+        return read_description("", folder)
     return {}
 
 
@@ -135,11 +134,8 @@ class _FileCopy:
                 self._topics[name] = _add_topic(self._writer, channel_record, schema)
             self._channels[channel_record.id] = self._topics[name]
         elif opcode == Opcode.METADATA:
-            note = file.parse_bytes(Metadata, data, where)
-            if note.name == "rosbag2":  # the new bag has its own; this one's content is in there
-                parse_map(note.metadata.get("serialized_metadata", ""), "metadata record")
-            else:
-                self._writer.add_note(note.name, note.metadata)
+            note = file.parse_bytes(Metadata, data, where)  # its content is in the new bag's own
+            parse_map(note.metadata.get("serialized_metadata", ""), "metadata record")
 
 
 def _add_topic(writer: BagWriter, channel: Channel, schema: Schema) -> int:

@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TypeVar
 
 import zstandard
@@ -73,7 +73,7 @@ class WriterOptions(Settings):
         return int(self.keep_seconds * 1e9 / RING)
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager["BagWriter"]):
     """A bag being recorded.
 
     Parameters
@@ -113,7 +113,6 @@ class BagWriter:
         self.topics: list[TopicRecord] = []
         self._ros_distro = ros_distro or os.environ.get("ROS_DISTRO", "jazzy")
         self._channels: list[tuple[Schema, Channel]] = []
-        self._notes: dict[str, dict[str, str]] = {}
         self._files: list[FileRecord] = []
         self._opened = 0
         self._is_alarm_file = False
@@ -132,7 +131,7 @@ class BagWriter:
                 f"{self.folder} already holds a bag: choose another folder, nothing is overwritten"
             )
         self._chunk = _chunk_buffer(self.options)
-        self._file = self._open_file()
+        self._open_file()
 
     @property
     def bytes_written(self) -> int:
@@ -255,12 +254,6 @@ class BagWriter:
             self._guarded(lambda: self._remove_dropped(self._files[:-1]))
             self._guarded(self._describe)
 
-    def add_note(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record at once, so that it outlives a crash."""
-        self._check_open()
-        self._notes[name] = dict(values)
-        self._guarded(lambda: self._file.add_metadata(name, values))
-
     def keep(self, custom_data: Mapping[str, str]) -> None:
         """Add to the custom data and write it at once, so that it outlives a crash."""
         self._check_open()
@@ -276,28 +269,17 @@ class BagWriter:
         self.closed = True
         self._write_description(self._files)
 
-    def __enter__(self) -> "BagWriter":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _open_file(self) -> McapFileWriter:
-        file = McapFileWriter(self.folder / f"{self.folder.name}_{self._opened}.mcap")
+    def _open_file(self) -> None:
+        self._file = McapFileWriter(self.folder / f"{self.folder.name}_{self._opened}.mcap")
         self._opened += 1
-        self._files.append(FileRecord(file.path.name, of_alarm=self._is_alarm_file))
+        self._files.append(FileRecord(self._file.path.name, of_alarm=self._is_alarm_file))
         self._is_alarm_file = False
         for schema, channel in self._channels:
-            file.add_channel(schema, channel)
-        for name, values in self._notes.items():
-            file.add_metadata(name, values)
-        file.add_metadata("rosbag2", self._record())
-        return file
+            self._file.add_channel(schema, channel)
+        self._describe()
 
     def _write_chunk(self) -> None:
         chunk, file = self._chunk, self._file
@@ -318,7 +300,7 @@ class BagWriter:
             self._drop_oldest()
         if self.options.is_ring:
             self._remove_dropped(self._files)
-        self._file = self._open_file()
+        self._open_file()
 
     def _is_too_much(self) -> bool:
         """Whether the closed files and one more like the last are more than is to be kept."""
@@ -389,10 +371,8 @@ class BagWriter:
 
     def _describe(self) -> None:
         """Write the bag's description; of several in a file, readers take the last."""
-        self._file.add_metadata("rosbag2", self._record())
-
-    def _record(self) -> dict[str, str]:
-        return {"serialized_metadata": dump(self._description(self._files))}
+        text = dump(self._description(self._files))
+        self._file.add_metadata("rosbag2", {"serialized_metadata": text})
 
     def _description(self, files: Sequence[FileRecord]) -> dict[str, object]:
         return bag_map(self.topics, files, self.custom_data, self._ros_distro)

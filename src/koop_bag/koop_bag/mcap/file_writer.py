@@ -1,6 +1,5 @@
 """One MCAP file being written: chunks through to the disk, then the summary."""
 
-import errno
 import struct
 import zlib
 from collections.abc import Mapping
@@ -23,11 +22,11 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from koop_bag.errors import BagWriteError, DiskFullError
+from koop_bag.errors import BagWriteError
 from koop_bag.mcap.chunk import ChunkBuffer, encode
+from koop_core.whole_file import FULL
 
 _BLOCK = 1 << 16  # [B] of records that are packed together
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class McapFileWriter:
@@ -151,8 +150,8 @@ class McapFileWriter:
                 self._file.truncate(self.size)
                 self._file.seek(self.size)
             where = f"{self.path} ({self.size} bytes are safe)"
-            if error.errno in _FULL:
-                raise DiskFullError(
+            if error.errno in FULL:
+                raise BagWriteError(
                     f"no space left for {where}: free some on the disk of {self.path.parent} "
                     f"({error.strerror}) or record to another one"
                 ) from error
