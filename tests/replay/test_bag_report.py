@@ -91,14 +91,14 @@ def read_guarded(path, told, said):
 
 def test_a_limit_of_the_controller_counts_only_while_the_guard_follows_it(tmp_path):
     whole = read_loop(RUN / "bag")
-    tripped = round(np.median(np.flatnonzero(whole.saturated)))
+    tripped = round(np.median(np.flatnonzero(whole.limited)))
     told = lambda k, theta: theta if k < tripped else 0.5  # noqa: E731 - 0.5: theta_safe
     guarded = read_guarded(tmp_path / "bag", told, {tripped: {"cause": Cause.BEYOND}})
     assert np.isfinite(guarded.theta[1:]).all()  # nothing was commanded before the first state
-    at_limit = np.flatnonzero(guarded.saturated)
+    at_limit = np.flatnonzero(guarded.limited)
     assert at_limit.size > 10
     assert guarded.theta[at_limit] == pytest.approx(-5.0)  # the last step to it rounds
-    assert at_limit.max() <= tripped < np.flatnonzero(whole.saturated).max() - 10
+    assert at_limit.max() <= tripped < np.flatnonzero(whole.limited).max() - 10
 
 
 def test_the_way_to_theta_safe_at_the_end_is_not_the_loops(tmp_path):
@@ -206,9 +206,9 @@ def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
     run = read(RUN)
     assert run.model is not None
     assert run.model.model_id == read(RUN / "bag").model.model_id
-    run.signals.x[100:130] = np.nan
+    run.signals.measured[100:130] = np.nan
     signals = run.signals
-    states = dict(zip(signals.names, signals.x.T, strict=True))
+    states = dict(zip(signals.names, signals.measured.T, strict=True))
     out = tmp_path / "report.png"
     plot_signals(out, signals.t, states, {"r": signals.r}, {}, "holes", None)
     assert (tmp_path / "report.png").stat().st_size > 10_000

@@ -101,7 +101,7 @@ def test_theta_is_the_last_one_received_before_each_state(joints):
     signals = read_signals(joints, reading(JOINTS, "/command:data"))
     t = np.arange(10_000) * DT
     np.testing.assert_allclose(signals.t, t, atol=1e-6)
-    np.testing.assert_allclose(signals.x, rig(t), atol=1e-9)
+    np.testing.assert_allclose(signals.measured, rig(t), atol=1e-9)
     # a command and a state of the same time: either may come first
     expected = falling(np.floor((t + 1e-9) / 0.1) * 0.1)
     np.testing.assert_array_equal(signals.theta[t % 0.1 > 0.005], expected[t % 0.1 > 0.005])
@@ -195,7 +195,7 @@ def model(pressure, tmp_path_factory):
 def test_the_cost_of_any_states_under_a_model_is_that_of_the_node(pressure, model):
     """Beside it the same kernel, called state by state as the node calls it."""
     costs = costs_of(read(pressure, reading(PRESSURE), model=model), model)
-    states = np.ascontiguousarray(read_signals(pressure, reading(PRESSURE)).x)
+    states = np.ascontiguousarray(read_signals(pressure, reading(PRESSURE)).measured)
     lifter, lifting = LifterConfig(dt=DT), load(model).lifting()
     detector, work, params = cost.initial(), cost.workspace(lifting), lifter.detector_params()
     r = np.empty(4000)

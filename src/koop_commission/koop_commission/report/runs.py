@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import list_segments
-from koop_identify.recording.signals import loop_signals
+from koop_identify.recording.loop import read_loop
 from koop_loop.thinning import thin
 from koop_tune.excitation.amplitude import Amplitude
 
@@ -56,7 +56,7 @@ def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves
     koop_core.errors.InputError
         If it holds no theta.
     """
-    _, signals = loop_signals(bag, "/", amplitude.windows.dt)
+    signals = read_loop(bag, dt=amplitude.windows.dt)
     closed = (signals.step >= steps[0]) & (signals.step <= steps[1])
     controlled = closed & signals.theta_known
     if not controlled.any():
@@ -66,7 +66,7 @@ def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves
     for segment in list_segments(signals.begins):
         for first in range(segment.start, segment.stop - length + 1, length):
             window = slice(first, first + length)
-            x = signals.x[window]
+            x = signals.measured[window]
             if closed[window].all() and np.isfinite(x).any(axis=0).all():
                 middles.append(float(t[first]) + 0.5 * length * dt)
                 amplitudes.append(float(np.exp(amplitude.logs(x)[0])))

@@ -1,4 +1,4 @@
-"""A recorded run as arrays: what the bag of one loop says, aligned by step."""
+"""What the bag of a loop says, aligned by step."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from koop_core.errors import InputError
 from koop_guard.guard import Cause, Status
 from koop_identify.recording.loaded import theta_at
 from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages, of_knobs
+from koop_identify.recording.signals import Signals
 
 STAMP = "header.stamp"
 FIELDS = {
@@ -30,7 +31,7 @@ FIELDS = {
 }
 GUARD = ["status", "cause", "reason", "tripped_at", STAMP, "log_time"]
 BY_ROW = (
-    "step", "measured", "ground_truth", "r", "theta", "saturated", "answered", "tripped",
+    "step", "t", "measured", "ground_truth", "r", "theta", "limited", "answered", "tripped",
 )  # fmt: skip
 
 
@@ -47,67 +48,38 @@ class Trips(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LoopRecord:
-    """Signals of a recorded loop, one row a state.
+class LoopRecord(Signals):
+    """Signals of a recorded loop.
 
     Where steps restart within the bag, as of a plant that was started again, the rows are those of
     the longest run.
 
     Attributes
     ----------
-    step : ndarray of int64, shape (M,)
-        Step index, increasing.
-    measured, ground_truth : ndarray, shape (M, n)
-        x' and, if it was recorded, x; else of shape (M, 0).
-    r, theta : ndarray, shape (M,)
-        Cost and control input; NaN where there is none; theta of n > 1 knobs of shape (M, n).
-    saturated : ndarray of bool, shape (M,)
-        Whether theta was at a limit.
     answered : ndarray of bool, shape (M,)
         Whether all topics have the step.
     model_id : str
         Model of the first cost; empty if there is none.
     lost, counts : dict
         Missing steps and messages by topic.
-    state_time : ndarray, shape (K,)
-        Receive time of every state [s], from the first.
-    measured_dt : float
-        Usual time between two steps as stamped, else as received [s].
+    duration : float
+        Wall-clock time from the first to the last state [s].
     passes : int
         How often the steps of the states begin.
-    recorded_steps : int
-        Steps from the first to the last state, of all runs together.
     tripped : ndarray of bool, shape (M,)
         Whether the guard held theta, tripped.
     trips : Trips or None
         What tripped it; None if nothing did.
     """
 
-    step: NDArray[np.int64]
-    measured: NDArray[np.float64]
-    ground_truth: NDArray[np.float64]
-    r: NDArray[np.float64]
-    theta: NDArray[np.float64]
-    saturated: NDArray[np.bool_]
     answered: NDArray[np.bool_]
     model_id: str
     lost: dict[str, int]
     counts: dict[str, int]
-    state_time: NDArray[np.float64]
-    measured_dt: float
+    duration: float
     passes: int
-    recorded_steps: int
     tripped: NDArray[np.bool_]
     trips: Trips | None
-
-    @property
-    def duration(self) -> float:
-        """Wall-clock time from the first to the last state [s]."""
-        return float(self.state_time[-1])
-
-    def t(self, dt: float) -> NDArray[np.float64]:
-        """Return t_k = k dt [s], shape (M,)."""
-        return np.asarray(self.step * dt, dtype=np.float64)
 
     def closed(self, bag: Path) -> LoopRecord:
         """Return the steps that have a state, a cost and a theta.
@@ -124,14 +96,22 @@ class LoopRecord:
                 )
         if not self.answered.any():
             raise InputError(f"{bag}: no step has a state, a cost and a theta")
-        return replace(self, **{name: getattr(self, name)[self.answered] for name in BY_ROW})
+        rows = {name: getattr(self, name)[self.answered] for name in BY_ROW}
+        return replace(self, **rows, begins=_begins(rows["step"]))
 
 
-def read_loop(bag: Path, namespace: str = "/", commands: Sequence[Source] = ()) -> LoopRecord:
+def read_loop(
+    bag: Path,
+    namespace: str = "/",
+    commands: Sequence[Source] = (),
+    dt: float | None = None,
+    names: tuple[str, ...] = (),
+) -> LoopRecord:
     """Read the loop's four topics from a bag; only the states must be there.
 
-    With commands that the bag has, theta is what the rig was told when a state was received; the
-    guard's way to theta_safe at the end is not the loop's.
+    With commands that the bag has, as of a guard, theta is what the rig was told when a state was
+    received; the guard's way to theta_safe at the end is not the loop's. Without ``dt`` [s], it is
+    the usual time between two steps as stamped, else as received.
 
     Raises
     ------
@@ -151,16 +131,16 @@ def read_loop(bag: Path, namespace: str = "/", commands: Sequence[Source] = ()) 
             )
         columns: dict[str, Columns] = {}
         inactive = {name: reader.inactive_steps(f"{base}/{name}") for name in FIELDS}
-        for name, names in FIELDS.items():
+        for name, fields in FIELDS.items():
             topic = f"{base}/{name}"
             if topic in present:
-                columns[name] = _columns(reader, topic, [*names, "log_time"])
+                columns[name] = _columns(reader, topic, [*fields, "log_time"])
         if commands and {c.topic for c in commands} <= {*present} - {f"{base}/theta"}:
             columns["state"]["commanded"] = theta_at(reader, f"{base}/state", commands)
         trips = None
         if (topic := f"{base}/koop_guard/state") in present:
             trips = _take_guard(columns["state"], read_columns(reader, topic, GUARD))
-    return _align(columns, inactive, trips)
+    return _align(columns, inactive, trips, dt or _measured_dt(columns["state"]), names)
 
 
 def _take_guard(state: Columns, guard: Columns) -> Trips | None:
@@ -197,7 +177,11 @@ def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
 
 
 def _align(
-    columns: dict[str, Columns], inactive: dict[str, int], trips: Trips | None
+    columns: dict[str, Columns],
+    inactive: dict[str, int],
+    trips: Trips | None,
+    dt: float,
+    names: tuple[str, ...],
 ) -> LoopRecord:
     """Look up the topics' values by the steps of the states.
 
@@ -225,14 +209,21 @@ def _align(
         limited &= np.isclose(answer, theta).reshape(rows.size, -1).all(axis=1)
     models = columns.get("cost", {}).get("model_id", ())
     times = columns["state"]["log_time"].astype(np.int64)
-    truth = "ground_truth" in columns
+    step, x = rows % MAX_STEP, at("state", "x")
+    n = x.shape[1]
     return LoopRecord(
-        rows % MAX_STEP,
-        at("state", "x"),
-        at("ground_truth", "x") if truth else np.empty((rows.size, 0)),
+        names if len(names) == n else tuple(f"x[{i}]" for i in range(n)),
+        dt,
+        "steps",
+        step,
+        np.asarray(step * dt, np.float64),
+        _begins(step),
+        x,
+        at("ground_truth", "x") if "ground_truth" in columns else np.empty((rows.size, 0)),
         at("cost", "r"),
         theta,
-        limited,
+        limited if "theta" in columns else None,
+        int((every[last] - every[first] + 1).sum()) * dt,
         answered[number == longest],
         str(next((name for name in models if name), "")),
         {
@@ -240,13 +231,16 @@ def _align(
             for name, topic in messages.items()
         },
         {name: topic.step.size for name, topic in messages.items()},
-        (times - times[0]) * 1e-9,
-        _measured_dt(columns["state"]),
+        float((times[-1] - times[0]) * 1e-9),
         int(number[-1]),
-        int((every[last] - every[first] + 1).sum()),
         messages["state"].at(rows, "tripped", False).astype(np.bool_),
         trips,
     )
+
+
+def _begins(step: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which states follow on none."""
+    return np.diff(step, prepend=step[0] - 2) != 1
 
 
 def _measured_dt(state: Columns) -> float:

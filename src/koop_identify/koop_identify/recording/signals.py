@@ -1,8 +1,7 @@
-"""State, cost and theta of any bag as arrays: of a loop by its steps, of other messages by time."""
+"""State, cost and theta of a bag as arrays, of messages that need not be a loop's."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_core.config.fields import Source
 from koop_identify.recording.loaded import load_recording
-from koop_identify.recording.loop import LoopRecord, read_loop
 from koop_identify.recording.samples import state_names
 from koop_identify.recording.segmentation import BagReading, find_segmentation
 from koop_identify.recording.segments import Segmentation
@@ -36,7 +33,7 @@ class Signals:
         Time [s]; of a loop step times dt, else from the first state.
     begins : ndarray of bool, shape (M,)
         Whether a state follows on none: the first, and after a gap.
-    x, ground_truth : ndarray, shape (M, n)
+    measured, ground_truth : ndarray, shape (M, n)
         x' and, if it was recorded, x; else of shape (M, 0).
     r, theta : ndarray, shape (M,)
         Recorded cost and control input; NaN where there is none; theta of n > 1 knobs (M, n).
@@ -52,7 +49,7 @@ class Signals:
     step: NDArray[np.int64]
     t: NDArray[np.float64]
     begins: NDArray[np.bool_]
-    x: NDArray[np.float64]
+    measured: NDArray[np.float64]
     ground_truth: NDArray[np.float64]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
@@ -77,29 +74,8 @@ class Signals:
     @property
     def covered(self) -> float:
         """Time for which there are a state and, if there is any, a theta [s]."""
-        usable = self.theta_known if self.has_theta else np.isfinite(self.x).all(axis=1)
+        usable = self.theta_known if self.has_theta else np.isfinite(self.measured).all(axis=1)
         return float(np.count_nonzero(usable)) * self.dt
-
-
-def of_loop(record: LoopRecord, dt: float, names: tuple[str, ...] | None = None) -> Signals:
-    """Return the signals of a loop: the longest run in the bag, all of its states."""
-    step, n = record.step, record.measured.shape[1]
-    begins = np.ones(step.size, np.bool_)
-    begins[1:] = np.diff(step) != 1
-    return Signals(
-        names if names and len(names) == n else tuple(f"x[{i}]" for i in range(n)),
-        dt,
-        "steps",
-        step,
-        record.t(dt),
-        begins,
-        record.measured,
-        record.ground_truth,
-        record.r,
-        record.theta,
-        record.saturated if record.counts.get("theta") else None,
-        record.recorded_steps * dt,
-    )
 
 
 def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Signals:
@@ -147,18 +123,3 @@ def _steps(time: NDArray[np.float64], segmentation: Segmentation) -> NDArray[np.
     number = np.arange(time.size)
     step = np.round(time / segmentation.dt).astype(np.int64)
     return np.asarray(1 + number + np.maximum.accumulate(step - number))
-
-
-def loop_signals(
-    path: Path,
-    namespace: str,
-    dt: float | None,
-    names: tuple[str, ...] | None = None,
-    commands: Sequence[Source] = (),
-) -> tuple[LoopRecord, Signals]:
-    """Read the signals of a loop's own topics; dt from the times of reception where not given.
-
-    Commands, as of a guard, are what theta was where the controller's theta need not be.
-    """
-    record = read_loop(path, namespace, commands)
-    return record, of_loop(record, dt or record.measured_dt, names)

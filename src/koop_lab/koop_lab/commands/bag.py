@@ -41,7 +41,7 @@ def _metrics(args: argparse.Namespace) -> int:
         from koop_lab.plots.signals import plot_signals  # matplotlib takes half a second to import
 
         signals, costs = run.signals, costs_of(run, args.model)
-        channels = dict(zip(signals.names, signals.x.T, strict=True))
+        channels = dict(zip(signals.names, signals.measured.T, strict=True))
         thetas = {"theta": signals.theta} if signals.has_theta else {}
         title = str(args.run)
         plot_signals(args.plot, signals.t, channels, costs, thetas, title, run.theta_star)

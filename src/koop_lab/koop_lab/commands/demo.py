@@ -78,7 +78,9 @@ def main(args: argparse.Namespace) -> int:
     plot_signals(
         folder / "plot.png",
         signals.t,
-        true_states(truth) if truth.size else dict(zip(signals.names, signals.x.T, strict=True)),
+        true_states(truth)
+        if truth.size
+        else dict(zip(signals.names, signals.measured.T, strict=True)),
         {COST: signals.r},
         {"theta": signals.theta},
         f"Over DDS, {cost} cost, seed {parameters.plant.seed}, {parameters.pace.pace} pace",

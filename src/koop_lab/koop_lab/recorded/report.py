@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source, parse_sources
 from koop_core.errors import InputError
-from koop_identify.recording.loop import LoopRecord, Trips
+from koop_identify.recording.loop import LoopRecord, Trips, read_loop
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
 from koop_identify.recording.segmentation import BagReading
-from koop_identify.recording.signals import Signals, loop_signals, read_signals
+from koop_identify.recording.signals import Signals, read_signals
 from koop_lab.cli.tables import cost_name, metrics_table, rig_table
 from koop_lab.replay.answers import ReplayedLoop
 from koop_loop.metrics import Metrics, evaluate
@@ -73,7 +73,7 @@ class RecordedRun:
         if not (self.signals.has_theta and loop.counts.get("cost")):
             return None
         closed = loop.closed(self.path)
-        t, theta, r = closed.t(self.signals.dt), closed.theta, closed.r
+        t, theta, r = closed.t, closed.theta, closed.r
         lifted = parameters.lifter.cost == "lifted"
         if lifted and self.model is None:  # without it r* is not known
             return evaluate(t, theta, r, theta_star)
@@ -129,15 +129,14 @@ def read(
     }
     parameters = make(recorded) if recorded else None
     dt = dt or (parameters.lifter.dt if parameters else chosen.dt if chosen else None)
-    names = chosen.state_names if chosen else None
-    loop, signals = loop_signals(path, namespace, dt, names, commands)
+    loop = read_loop(path, namespace, commands, dt, chosen.state_names if chosen else ())
     used = chosen
     if used is None and loop.model_id:
         named = str(recorded.get("koopman_lifter", {}).get("model", ""))
         with suppress(InputError):  # it is not at hand
             used = Models(path, named).load(loop.model_id)
     theta_star = parameters.plant.theta_star if parameters and "vdp_plant" in recorded else None
-    return RecordedRun(path, signals, loop, parameters, theta_star, used)
+    return RecordedRun(path, loop, loop, parameters, theta_star, used)
 
 
 def _commanded(text: str, namespace: str) -> list[Source]:
@@ -157,7 +156,7 @@ def rig_metrics_of(run: RecordedRun) -> tuple[RigMetrics, tuple[str, ...]]:
     signals = run.signals
     true = tuple(f"true {name}" for name in signals.names)
     true = true if signals.ground_truth.shape[1] == len(true) else ()
-    channels = np.hstack((signals.x, signals.ground_truth[:, : len(true)]))
+    channels = np.hstack((signals.measured, signals.ground_truth[:, : len(true)]))
     theta = signals.theta.copy() if signals.has_theta else None
     if run.loop is not None:
         channels[run.loop.tripped] = np.nan
@@ -253,7 +252,8 @@ def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[n
     costs = {"recorded r": signals.r} if signals.has_r else {}
     if costs and model is None:
         return costs
-    fitting = load_fitting(model, signals.dt, signals.x.shape[1]) if model is not None else None
+    n = signals.measured.shape[1]
+    fitting = load_fitting(model, signals.dt, n) if model is not None else None
     lifter = replace(
         parameters.lifter if parameters is not None else LifterConfig(),
         cost="raw" if fitting is None else "lifted",
@@ -261,7 +261,7 @@ def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[n
         measured="",
     )
     esc, held = EscConfig(), np.ones(signals.step.size, np.bool_)
-    x = np.ascontiguousarray(signals.x)
+    x = np.ascontiguousarray(signals.measured)
     r, _ = ReplayedLoop(esc).answer(
         lifter, esc, fitting, signals.step, x, held, np.full(x.shape[0], np.nan)
     )
