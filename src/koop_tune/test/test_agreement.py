@@ -21,6 +21,7 @@ from koop_tune.search.agreement import (
     find_faults,
     measure,
     verdict,
+    with_hold,
 )
 from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.rounds import (
@@ -205,6 +206,16 @@ def test_the_final_map_has_what_the_loops_found(aim, good):
     assert len(faults) == 1
     assert "times the best known" in faults[0]
     assert find_faults(aim, [better, better]) == []
+
+
+def test_what_is_left_once_theta_rests_is_the_best_there_is(aim, good):
+    """Loops as good as a map whose floor is too high swing where the rig would be at half."""
+    t = np.arange(8 * 200) * DT
+    held = with_hold(aim, good, 0.5 * np.sin(2 * np.pi * t / PERIOD)[:, None])
+    assert held.held == pytest.approx(0.5 * good.amplitude, rel=0.1)
+    (fault, _) = find_faults(aim, [held, good])
+    assert f"may be {good.amplitude / held.held:.1f}" in fault
+    assert find_faults(aim, [replace(held, held=0.9), good]) == []
 
 
 def test_an_amplitude_that_comes_and_goes_is_not_judged_by_its_worse_half(aim):

@@ -18,7 +18,14 @@ from koop_core.config.fields import parse_field
 from koop_tune.excitation.holds import mean_level
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
-from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure, spell
+from koop_tune.search.agreement import (
+    Aim,
+    find_disagreements,
+    find_faults,
+    measure,
+    spell,
+    with_hold,
+)
 from koop_tune.search.rounds import LoopRun
 
 LINES, QUIET = 8, 5.0  # lines about a closed loop at most, and time between two at least [s]
@@ -116,14 +123,16 @@ class ClosedLoop:
             # an adaptive law arrives with a large step and takes its time to make it small
             seconds = min(aim.settings.longer * seconds, aim.longest)
             how = f"not yet, {lacks[0]}: the loop stays closed"
-        # theta is held where the loop ended: a later tuning learns from dwell points
         print(
             f"theta is held at {spell(measured.theta)}, where the loop ended: "
-            f"{spell_time(rest * dt, self.rig.pace)}",
+            f"{spell_time(aim.time + rest * dt, self.rig.pace)} until it is known what is left",
             flush=True,
         )
         session.go(measured.theta)
+        session.wait_for_states(math.ceil(aim.time / dt), "settling")
+        begin = states.count
         session.wait_for_states(rest, "after")
+        measured = with_hold(aim, measured, states.samples(begin, begin + rest).x)
         session.client.change_state(f"/{ESC}", "deactivate", START_TIMEOUT, session.check)
         return LoopRun(start, measured, bag, seconds, (int(loop.step[0]), int(loop.step[-1])))
 

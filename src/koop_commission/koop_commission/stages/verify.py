@@ -91,7 +91,7 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     settling = max([aim.time, aim.growth, *(hold.settled for hold in state.holds)])
     loop = ClosedLoop(rig, aim, folder, current.number, settling, note)
     rest = 2 * aim.settings.before * aim.window
-    besides = settling + rest + 1.5 * rig.guard.longest_return * rig.pace
+    besides = settling + aim.time + rest + 1.5 * rig.guard.longest_return * rig.pace
     refuse_small_disk(rig, folder, len(left) * (besides + aim.longest))
     least, most = (
         spell_time(len(left) * (besides + closed), rig.pace)

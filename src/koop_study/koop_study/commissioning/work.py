@@ -30,7 +30,13 @@ from koop_tune.excitation.bowl import find_starts
 from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.result.summary import summarise
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
+from koop_tune.search.agreement import (
+    Aim,
+    find_disagreements,
+    find_faults,
+    measure,
+    with_hold,
+)
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.rounds import LoopRun, Round, find_slowdown, inform, kept_index
 from koop_tune.search.run import make_lifter
@@ -123,18 +129,18 @@ def commissioned(
         lifter = make_lifter(tuning.task, tuning.best.constants)
         closed = loops.close(RigController(lifter, tuned.esc, tuning.chosen.maps.cost.model))
         before = [loops.rest(end, start, aim, 3 * OTHER) for end, start in enumerate(starts)]
-        runs = tuple(
-            LoopRun(start, measure(aim, rest, loop.x, loop.theta))
-            for start, rest, loop in zip(starts, before, closed, strict=True)
-        )
+        runs, held = [], []
+        for end, (start, rest, loop) in enumerate(zip(starts, before, closed, strict=True)):
+            measured = measure(aim, rest, loop.x, loop.theta)
+            held.append(loops.rest(end + 1, measured.theta, aim, 5 * OTHER))
+            runs.append(LoopRun(start, with_hold(aim, measured, held[-1])))
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)
         damped = not find_faults(aim, [run.measured for run in runs])
-        rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees, damped, best=aim.y))
+        rounds.append(Round(len(rounds) + 1, aim.predicted, tuple(runs), agrees, damped, "", aim.y))
         tried.append((tuning, [loop.ratio for loop in closed]))
-        for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
-            theta = run.measured.theta
-            after = loops.rest(end + 1, theta, aim, 5 * OTHER)
-            there, where = np.tile(run.start, (len(rest), 1)), np.tile(theta, (len(after), 1))
+        for rest, loop, run, after in zip(before, closed, runs, held, strict=True):
+            there = np.tile(run.start, (len(rest), 1))
+            where = np.tile(run.measured.theta, (len(after), 1))
             path = np.concatenate([there, loop.theta.reshape(-1, file.count), where])
             path = path if file.count > 1 else path[:, 0]
             recording = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)

@@ -4,8 +4,8 @@ The amplitude is the excitation's (:mod:`koop_tune.excitation.amplitude`), in th
 loop is damped if, over its second half, which is at least as long as an oscillation was seen to
 need to grow,
 
-- the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong,
-  and of the best that an earlier round knew;
+- the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong
+  and the holds after them, and of the best that an earlier round knew;
 - nothing that is not summed moves far more than in any hold of the excitation;
 - all of theta's swing lies in the valley of that map, or in what the loop itself showed to be as
   good where it went beyond;
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -161,6 +161,10 @@ class Measured:
         Standard error of its logarithm.
     new, new_at : float
         Amplitude of what the excitation never showed, and its frequency [Hz].
+    held : float or None
+        Amplitude once theta was held at its mean, after the loop; None until then.
+    held_doubt : float
+        Standard error of its logarithm.
     """
 
     time_to_converge: float | None
@@ -180,6 +184,8 @@ class Measured:
     beyond_doubt: float = 0.0
     new: float = 0.0
     new_at: float = 0.0
+    held: float | None = None
+    held_doubt: float = 0.0
 
     @property
     def swing(self) -> tuple[float, ...]:
@@ -242,6 +248,13 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     )
 
 
+def with_hold(aim: Aim, run: Measured, x: Array) -> Measured:
+    """Return a run with the amplitude after it, of channels, shape (B, n), with theta held."""
+    squares = aim.amplitude.squares(aim.amplitude.windows.powers(x))
+    level, doubt = mean_level(squares, aim.amplitude.floor)
+    return replace(run, held=math.exp(level), held_doubt=min(doubt, aim.settings.unknown))
+
+
 def _is_beyond(aim: Aim, theta: Array, count: int) -> NDArray[np.bool_]:
     """Return in which of some windows theta, shape (K,) or (K, n), was not in the valley."""
     outside = np.zeros(theta.shape[0], bool)
@@ -290,11 +303,13 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     A single loop, before the others, is not asked whether it makes the amplitude fall.
     """
     faults, good = [], CONVERGENCE.good
-    # the final map: the loops belong to it, and what earlier rounds knew
+    # the final map: the loops belong to it, the holds after them, and what earlier rounds knew
+    held = [(run.held, run.held_doubt) for run in runs if run.held is not None]
     final = min(
         aim.sense * aim.best,
         aim.known,
         *(aim.sense * math.log(run.amplitude) + run.doubt for run in runs),
+        *(aim.sense * math.log(amplitude) + doubt for amplitude, doubt in held),
     )
 
     def most(amplitude: float, doubt: float) -> float:
