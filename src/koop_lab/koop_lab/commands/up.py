@@ -16,7 +16,7 @@ from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.memory import Memory
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
-from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
+from koop_bringup.plan import ALL_NODES, Plan, plan
 from koop_bringup.service import describe_commands, describe_unit, unit_folder, unit_name
 from koop_core.config import parameter_file
 from koop_core.config.knobs import format_knobs
@@ -26,7 +26,6 @@ from koop_lab.recorded.report import describe, read
 from koop_tune.folder import find_controller
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
-OPTIONS = ("namespace", "pace", "duration")  # of the arguments of the launch
 
 
 def register(commands: Any) -> None:
@@ -51,9 +50,6 @@ def register(commands: Any) -> None:
         action="store_true",
         help="all nodes but recorder and guard share one process: a step takes a third of the time",
     )
-    for argument in ARGUMENTS:
-        if argument.name in OPTIONS:
-            parser.add_argument(f"--{argument.name}", metavar="VALUE", help=argument.meaning)
     parser.add_argument(
         "--install",
         action="store_true",
@@ -109,9 +105,8 @@ def install(args: argparse.Namespace, planned: Plan) -> int:
         raise ConfigError("--install: without --out, each start has a run folder of its own")
     system = os.geteuid() == 0
     name = unit_name(find_controller(args.file)[1])
-    values = {option: getattr(args, option) for option in (*OPTIONS, "serve")}
     options = ["--composed"] * args.composed
-    options += [f"--{key}={value}" for key, value in values.items() if value is not None]
+    options += [] if args.serve is None else [f"--serve={args.serve}"]
     text = describe_unit(name, args.file, options, planned, system)
     if not (recordings := Path("recordings")).is_dir():
         recordings.mkdir()
@@ -133,16 +128,13 @@ def read_options(args: argparse.Namespace) -> tuple[Plan, Path]:
         If the file or an option cannot be used.
     """
     file, label = find_controller(args.file)
-    namespace = args.namespace or parameter_file.read(file).namespace_of(ALL_NODES)
     planned = plan(
         {
             "params": str(file),
             "record": "true",
             "output": args.out or "",
             "composed": "true" if args.composed else "false",
-            "namespace": namespace,
-            "pace": args.pace or "",
-            "duration": args.duration or "",
+            "namespace": parameter_file.read(file).namespace_of(ALL_NODES),
         }
     )
     recorder = planned.parameters["recorder"]
