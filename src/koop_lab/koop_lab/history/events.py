@@ -18,11 +18,10 @@ MOST = 500  # sentences
 
 
 class Event(NamedTuple):
-    """An event: begin and end [s since the epoch], kind, and a sentence."""
+    """An event: begin and end [s since the epoch], and a sentence."""
 
     begin: float
     end: float
-    kind: str
     text: str
 
 
@@ -101,7 +100,7 @@ def _trip(trip: GuardMessage, end: float, how: str) -> Event:
         f"The guard tripped at theta = {at}: {trip.reason or trip.cause}; "
         f"theta returned to theta_safe{how}{format_span(end - trip.time)}."
     )
-    return Event(trip.time, end, "trip", text)
+    return Event(trip.time, end, text)
 
 
 def _end_between(history: History, begin: float, end: float) -> float | None:
@@ -117,16 +116,16 @@ def _runs(history: History) -> Iterator[Event]:
         if before is not None and run.begin > before.end:
             pause = f", after {format_span(run.begin - before.end)} without one"
         where = f"the recording in {run.folder}{pause}."
-        yield Event(run.begin, run.begin, "run", f"Here begins {where}")
+        yield Event(run.begin, run.begin, f"Here begins {where}")
         if not run.closed:
             text = "This recording was not closed: it still goes on, or its recorder was killed."
-            yield Event(run.end, run.end, "run", text)
+            yield Event(run.end, run.end, text)
         before = run
 
 
 def _models(history: History) -> Iterator[Event]:
     for (_, old), (time, new) in pairwise(history.models):
-        yield Event(time, time, "model", f"The cost came from model {new} in place of {old}.")
+        yield Event(time, time, f"The cost came from model {new} in place of {old}.")
 
 
 def _health(history: History) -> Iterator[Event]:
@@ -152,4 +151,4 @@ def _tell(together: list[Trouble]) -> Event:
     level = LEVELS[min(worst.level, len(LEVELS) - 1)]
     name = worst.node.rpartition("/")[2]
     text = f"{name} said {level}{times} for {lasted}: {worst.text}."
-    return Event(together[0].begin, together[-1].end, "health", text)
+    return Event(together[0].begin, together[-1].end, text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
@@ -12,7 +13,6 @@ import numpy as np
 from koop_core.stream.report import LEVELS
 from koop_lab.history.events import (
     MOST,
-    Event,
     Trouble,
     format_span,
     list_events,
@@ -91,48 +91,43 @@ def _make_sections(history: History) -> Iterator[Section]:
     left = f", the last {MOST} of them" if len(events) > len(latest) else ""
     table = Table(f"events{name}", f"{_count(len(events), 'event')}{left}", EVENTS, rows)
     of_loop = f" in {history.name}" if history.name else ""
-    figure = Figure(f"time{name}", "", tuple(_panels(history, events)))
+    figure = Figure(f"time{name}", "", tuple(_panels(history)))
     yield Section(f"over-time{name}", f"Over time{of_loop}", "", figures=[figure])
     yield Section(f"what-happened{name}", f"What happened{of_loop}", "", tables=[table])
 
 
-def _panels(history: History, events: Sequence[Event]) -> Iterator[Panel]:
+def _panels(history: History) -> Iterator[Panel]:
     rows = history.rows
     width = _width(float(rows.time[-1] - rows.time[0]), rows)
-    thin = gather(rows, width, slow=False)
+    amplitude = np.repeat(rows.amplitude[:, None], 3, axis=1)
+    thin = gather(replace(rows, x=amplitude), width)
     time = thin.time + 0.5 * width
-    marked = [event for event in events if event.kind == "trip"]
     marks = tuple(
         Mark(int(trip.begin), "trip", int(trip.begin), math.ceil(trip.end), 1)
-        for trip in marked[:MARKS]
+        for trip in trips(history)[:MARKS]
     )
-    amplitudes = rows.amplitude
-    ranges = [_extremes(rows.time, amplitudes[:, [i]], width) for i in range(amplitudes.shape[1])]
-    series = [
-        curve
-        for i, channel in enumerate(history.channels)
-        for curve in _curve(channel, time, width, thin.amplitude[:, i], *ranges[i], i)
-    ]
-    yield Panel(TIME, "amplitude", tuple(series), "Amplitude", time=True)
 
-    def curve(name: str, values: Floats) -> tuple[Series, ...]:
-        n = values.shape[2]
+    def curves(values: Floats, *names: str) -> tuple[Series, ...]:
         return tuple(
             series
-            for i in range(n)
+            for i, name in enumerate(names)
             for low, high, mean in [values[:, :, i].T]
-            for series in _curve(f"{name}[{i}]" if n > 1 else name, time, width, mean, low, high, i)
+            for series in _curve(name, time, width, mean, low, high, i)
         )
 
+    series = curves(thin.x, *history.channels)
+    yield Panel(TIME, "amplitude", series, "Amplitude", time=True)
+    n = thin.theta.shape[2]
+    knobs = [f"theta[{i}]" for i in range(n)] if n > 1 else ["theta"]
     title = "Theta, and trips, in which it is the guard's"
-    yield Panel(TIME, "theta", curve("theta", thin.theta), title, marks=marks, time=True)
+    yield Panel(TIME, "theta", curves(thin.theta, *knobs), title, marks=marks, time=True)
     low, high = thin.r[:, 0], thin.r[:, 1]
     positive = bool(np.nanmin(low, initial=np.inf) > 0.0)
     wide = positive and np.nanmax(high, initial=1.0) > 50.0 * np.nanmin(low, initial=1.0)
-    yield Panel(TIME, "cost r", curve("r", thin.r), "Cost", log_y=bool(wide), time=True)
+    yield Panel(TIME, "cost r", curves(thin.r, "r"), "Cost", log_y=bool(wide), time=True)
     if np.isfinite(thin.margin).any():
         title = "Margin of the constraint, below 0: broken"
-        yield Panel(TIME, "margin", curve("margin", thin.margin), title, time=True)
+        yield Panel(TIME, "margin", curves(thin.margin, "margin"), title, time=True)
     yield Panel(
         TIME, "level", (_levels(history, troubles(history)),),
         "Health: the worst node; 0 OK, 1 WARN, 2 ERROR, 3 STALE", time=True,
@@ -145,15 +140,8 @@ def _width(span: float, rows: Rows) -> float:
     return max(1.0, math.ceil(span / POINTS / step)) * step
 
 
-def _extremes(time: Floats, values: Floats, width: float) -> tuple[Floats, Floats]:
-    keys = np.floor(time / width)
-    starts = np.flatnonzero(np.r_[True, np.diff(keys) != 0])
-    column = values[:, 0]
-    return np.fmin.reduceat(column, starts), np.fmax.reduceat(column, starts)
-
-
 def _curve(
-    name: str, time: Floats, width: float, mean: Floats, low: Floats, high: Floats, color: int = 0
+    name: str, time: Floats, width: float, mean: Floats, low: Floats, high: Floats, color: int
 ) -> Iterator[Series]:
     """Yield a band and a curve in it, broken where nothing was recorded."""
     x: list[float] = []

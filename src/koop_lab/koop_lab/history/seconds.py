@@ -117,17 +117,16 @@ def join(parts: Iterable[Rows]) -> Rows:
     return Rows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows)))
 
 
-def gather(rows: Rows, width: float, slow: bool = True) -> Rows:
+def gather(rows: Rows, width: float) -> Rows:
     """Return intervals of `width` [s] that begin at its multiples.
 
-    With `slow`, changes of the mean within an interval count as oscillation: one that is slower
-    than the rows is seen only so.
+    Changes of the mean within an interval count as oscillation: one that is slower than the rows is
+    seen only so.
     """
     keys = np.floor(rows.time / width)
     starts = np.flatnonzero(np.r_[True, np.diff(keys) != 0])
     mean = _mean(rows.x[:, 2], rows.weight, starts)
-    power = rows.power + rows.x[:, 2] ** 2 if slow else rows.power
-    power = _mean(power, rows.weight, starts) - (mean**2 if slow else 0.0)
+    power = _mean(rows.power + rows.x[:, 2] ** 2, rows.weight, starts) - mean**2
 
     def table(values: Floats) -> Floats:
         parts = (
