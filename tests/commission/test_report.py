@@ -156,16 +156,13 @@ def test_the_best_theta_is_marked_in_its_valley(commissioned):
 def test_every_stage_says_what_is_missing(commissioned):
     _, _, pages = commissioned
     said = {stage: verdict_of(page) for stage, page in pages.items()}
-    assert {len(sentences) for sentences in said.values()} == {3}
-    assert "koop tune" in said["excited"][2]
+    assert "<span>./koop tune " in pages["excited"]
     assert "predicted" in said["tuned"][1]
-    assert "koop verify" in said["tuned"][2]
+    assert "<span>./koop verify " in pages["tuned"]
     assert said["verified"][0] == "The rig is damped."
     for name in ("omega_h", "dwell", "tau_f", "y_out_max"):
         reason = re.search(rf"<td>{name}</td>.*?</tr>", pages["tuned"])[0]
         assert "search" in reason or "times" in reason
-    assert "part-1/bag" in pages["excited"]
-    assert "verify-1/start-2/bag" in pages["verified"]
 
 
 def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
@@ -194,9 +191,7 @@ def test_what_is_torn_or_gone_is_said(commissioned, tmp_path):
     progress.save(replace(state, parts=["part-1", "part-2"], ended=""), rig, tmp_path)
     (tmp_path / "part-1").symlink_to(folder / "part-1")
     page = write_report(tmp_path).read_text()
-    assert "koop excite" in verdict_of(page)[2]
-    gone = re.search(r"<td>part-2/bag</td>.*?</tr>", page)[0]
-    assert "cannot be read" in gone
+    assert "to resume: ./koop excite" in page
 
 
 @pytest.mark.parametrize(

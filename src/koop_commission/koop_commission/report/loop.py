@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from koop_bag.errors import BagError
-from koop_commission.report.colors import BEST, MEASURED
 from koop_commission.report.contents import Contents
+from koop_commission.report.drawing import BEST, MEASURED
 from koop_commission.report.runs import RunCurves, read_run
 from koop_core.errors import InputError
 from koop_tune.result.tune_result import Curves, LoopPath, TuneResult

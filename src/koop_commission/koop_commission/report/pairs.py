@@ -8,9 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from koop_commission.report.colors import BEST, INTERFERENCE, MEASURED, OTHER
 from koop_commission.report.contents import Contents
-from koop_commission.report.series import step_apart
+from koop_commission.report.drawing import BEST, INTERFERENCE, MEASURED, OTHER, step_apart
 from koop_tune.excitation.bowl import Array, Bowl, fit_bowl
 from koop_tune.excitation.static_map import MAP
 from koop_view.report.document import Figure, Panel, Series

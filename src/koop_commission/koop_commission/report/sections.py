@@ -9,12 +9,17 @@ from typing import Any
 
 from koop_bag.errors import BagError
 from koop_commission.fitness.recording import check_recording
-from koop_commission.report.colors import BEST, FAINT, INTERFERENCE, MEASURED, OTHER
 from koop_commission.report.contents import Contents
+from koop_commission.report.drawing import (
+    BEST,
+    FAINT,
+    INTERFERENCE,
+    MEASURED,
+    OTHER,
+    step_apart,
+)
 from koop_commission.report.loop import make_loop
 from koop_commission.report.pairs import draw_pairs
-from koop_commission.report.recordings import make_recordings
-from koop_commission.report.series import step_apart
 from koop_commission.report.spectra import make_spectra
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import spec_of
@@ -39,7 +44,6 @@ def make_sections(c: Contents) -> Iterator[Section]:
     if c.tuned.controller or c.verification.rounds:
         yield make_loop(c)
         yield make_constants(c)
-    yield make_recordings(c)
 
 
 def make_rig(c: Contents) -> Section:
@@ -86,11 +90,11 @@ def make_static_map(c: Contents) -> Section:
     if c.tuned.is_refused:
         intro += f" Refused ({c.tuned.verdict}): {c.tuned.why}."
     panels = tuple(_draw_map(c, knob, static) for knob, static in c.holds_by_knob.items())
-    tables, figures = [], []
+    tables: list[Table] = []
+    figures: list[Figure] = []
     if panels:
         caption = f"Static map of the amplitude of {c.feature}"
         figures.append(Figure("map", caption, panels, columns=min(len(panels), 2)))
-        tables.append(_list_map(c))
     if several and c.tuned.controller:
         tables.insert(0, _list_worth(c))
     if len(pairs := c.excitation.sections) > 1:
@@ -123,22 +127,6 @@ def _draw_map(c: Contents, knob: int, static: Points) -> Panel:
     series.append(_bars(static, MEASURED))
     name = c.rig.knob_names[knob]
     return Panel(name, "amplitude", tuple(series), log_x=scale.logarithmic, log_y=True, marks=marks)
-
-
-def _list_map(c: Contents) -> Table:
-    """Return the holds over each knob."""
-    columns = (
-        *([Column("knob", "knob", words=True)] if c.rig.count > 1 else []),
-        Column("theta", "theta"),
-        Column("amplitude", "amplitude"),
-        Column("error", "standard error [%]", ".2g"),
-    )
-    rows: Rows = []
-    for knob, static in c.holds_by_knob.items():
-        name = (c.rig.knob_names[knob],) if c.rig.count > 1 else ()
-        errors = [100.0 * error if error < LARGEST else None for error in static.error]
-        rows += [(*name, *row) for row in zip(static.theta, static.level, errors, strict=True)]
-    return Table("map", "The same in numbers", columns, rows, detail=True)
 
 
 def _list_worth(c: Contents) -> Table:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_commission.report.colors import BEST, FAINT, INTERFERENCE, MEASURED
 from koop_commission.report.contents import Contents
+from koop_commission.report.drawing import BEST, FAINT, INTERFERENCE, MEASURED
 from koop_core.errors import InputError
 from koop_tune.excitation.channels import Line, pick_lines
 from koop_tune.rig_model.dwells import DWELLS

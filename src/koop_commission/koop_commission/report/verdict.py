@@ -1,4 +1,4 @@
-"""Result of a commissioning: three sentences, and each stage with its next command."""
+"""Result of a commissioning: the verdict, and each stage with its next command."""
 
 from __future__ import annotations
 
@@ -54,8 +54,7 @@ def write_sentences(c: Contents) -> list[str]:
     """Return the verdict: of the verification, once there is one, else of what is known."""
     if verdict := c.verification.verdict.strip():
         return verdict.splitlines()
-    following = [] if c.tuned.is_refused else [_describe_next(c)]  # a refusal says what to do
-    return [_describe_rig(c), _describe_controller(c), *following]
+    return [_describe_rig(c), _describe_controller(c)]
 
 
 def _describe_rig(c: Contents) -> str:
@@ -90,12 +89,3 @@ def _describe_controller(c: Contents) -> str:
         f"converge in {predicted.converges.as_text()} s and to stay within a factor of "
         f"{predicted.excess.as_text()} of the best amplitude.{doubt}"
     )
-
-
-def _describe_next(c: Contents) -> str:
-    if c.tuned.controller:
-        return f"It is not verified on the rig yet: ./koop verify {c.rig_file} {c.folder}."
-    if not c.is_excited:
-        command = f"./koop excite {c.rig_file} --out {c.folder}"
-        return f"The excitation is not finished; to resume: {command}."
-    return f"Next: ./koop tune {c.rig_file} {c.folder}."
