@@ -6,8 +6,6 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from tqdm import tqdm
-
 from koop_bag.bag.reader import BagReader
 from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
@@ -27,8 +25,6 @@ from koop_tune.rig.rig_file import STATE, THETA, RigFile
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.settings import TUNING, TuningSettings
 from koop_tune.search.tune_knobs import tune_knobs
-
-BAR = "{desc:<40.40} |{bar}| {n:.0f} %"
 
 
 def tune_folders(
@@ -70,25 +66,18 @@ def tune_folders(
             f"{len(rig.names)}"
         )
     out.mkdir(parents=True, exist_ok=True)
-    with tqdm(total=100, bar_format=BAR, leave=False, disable=None) as bar:
-
-        def report(step: str, share: float) -> None:
-            bar.set_description_str(step, refresh=False)
-            bar.update(100.0 * share)
-
-        try:
-            lines = {line.knob: rig.u(line.theta) for line in excitation.sections}
-            tuned = tune_knobs(
-                loaded, rig, lines, BagTraining(reading), excitation.amplitude, settings, report,
-                excitation.safe,
-            )  # fmt: skip
-        except NoOptimum as refusal:
-            bar.close()
-            result = summarise_refusal(refusal)
-            whole_file.write_json(out / FIGURES, result)
-            table = as_text.as_table(result, rig.knob_names)
-            print(f"{table}\n\nno controller ({refusal.kind}): {refusal}")
-            return False
+    lines = {line.knob: rig.u(line.theta) for line in excitation.sections}
+    try:
+        tuned = tune_knobs(
+            loaded, rig, lines, BagTraining(reading), excitation.amplitude, settings,
+            lambda step: print(f"finding {step}", flush=True), excitation.safe,
+        )  # fmt: skip
+    except NoOptimum as refusal:
+        result = summarise_refusal(refusal)
+        whole_file.write_json(out / FIGURES, result)
+        table = as_text.as_table(result, rig.knob_names)
+        print(f"{table}\n\nno controller ({refusal.kind}): {refusal}")
+        return False
     model, cost = None, tuned.tuning.chosen.maps.cost
     if cost.training is not None:
         model = out / MODEL

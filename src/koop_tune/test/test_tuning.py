@@ -68,7 +68,7 @@ def test_runs_are_made_longer_only_while_the_best_is_not_good():
         return make_task(level, time=time, settings=SearchSettings(length=20.0))
 
     settings = TuningSettings(effort=0.1, longer=(1.0, 2.0, 4.0), workers=1)
-    good = search_cost(make, 6.0, make_cost("raw", valley), rig, settings, lambda share: None)
+    good = search_cost(make, 6.0, make_cost("raw", valley), rig, settings)
     assert times == [6.0]
     assert good.task.time == 6.0
 
@@ -77,12 +77,12 @@ def test_runs_are_made_longer_only_while_the_best_is_not_good():
 
     times.clear()
     strict = TuningSettings(effort=0.1, longer=(0.3, 0.6), workers=1)
-    search_cost(uphill, 6.0, make_cost("raw", valley), rig, strict, lambda share: None)
+    search_cost(uphill, 6.0, make_cost("raw", valley), rig, strict)
     assert times == pytest.approx([1.8, 3.6])
     times.clear()
     hurried = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5,
                       0.5, time=1.0)  # fmt: skip
-    search_cost(uphill, 6.0, make_cost("raw", valley), hurried, strict, lambda share: None)
+    search_cost(uphill, 6.0, make_cost("raw", valley), hurried, strict)
     assert len(times) == 2  # the second is made, and is too long for this rig
 
 

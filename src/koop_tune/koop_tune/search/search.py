@@ -16,7 +16,7 @@ be far from what any rig has needed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -127,7 +127,6 @@ def search(
     task: Task,
     effort: float,
     seed: int,
-    report: Callable[[float], None] = lambda share: None,
     workers: int = 1,
 ) -> list[Trial]:
     """Return the best constants first, the better half of each round having run more often.
@@ -140,15 +139,12 @@ def search(
         Search budget (1 = default).
     seed : int
         Seed of the draws.
-    report : callable
-        Is told of every run, as a share of all.
     workers : int
         Threads.
     """
     s = task.settings
     first = 2 ** max(round(math.log2(s.first * effort)), 3)
     rng = np.random.default_rng([seed, 7])
-    total = 8 * first + 16 * s.top + 2 * len(list_anchors(task))
 
     with ThreadPoolExecutor(workers) as pool:
 
@@ -157,10 +153,8 @@ def search(
                 done = range(len(t.outcomes), upto)
                 return [try_out(task, t.constants, n, seed, fine=False) for n in done]
 
-            longer = []
-            for t, outcomes in zip(trials, pool.map(results, trials), strict=True):
-                report(len(outcomes) / total)
-                longer.append(replace(t, outcomes=t.outcomes + outcomes))
+            pairs = zip(trials, pool.map(results, trials), strict=True)
+            longer = [replace(t, outcomes=t.outcomes + outcomes) for t, outcomes in pairs]
             return sorted(longer, key=lambda t: t.rank)
 
         def begin(constants: Sequence[Constants], runs: int) -> list[Trial]:

@@ -32,7 +32,7 @@ from koop_tune.search.limits import ThetaLimits, limit_theta
 from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.run import make_esc, round_digits
 from koop_tune.search.settings import TUNING, TuningSettings
-from koop_tune.search.tuning import Report, Tuning, no_report, tune
+from koop_tune.search.tuning import Report, Tuning, tune
 from relay_esc.config import EscConfig
 
 Array = NDArray[np.float64]
@@ -101,8 +101,8 @@ def _power(band: Band, n: int) -> Band:
 
 def tune_knobs(
     loaded: Loaded, rig: RigFile, lines: Mapping[int, Array], training: BagTraining,
-    amplitude: Amplitude | None, settings: TuningSettings = TUNING, report: Report = no_report,
-    safe: SafeRange | None = None,
+    amplitude: Amplitude | None, settings: TuningSettings = TUNING,
+    report: Report = lambda step: None, safe: SafeRange | None = None,
 ) -> KnobsTuning:  # fmt: skip
     """Choose the cost and all constants of a controller.
 

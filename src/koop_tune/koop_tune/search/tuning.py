@@ -24,11 +24,7 @@ from koop_tune.search.search import Trial, confirm, search
 from koop_tune.search.settings import CONVERGENCE, TUNING, TuningSettings
 from koop_tune.search.task import make_task
 
-Report = Callable[[str, float], None]
-
-
-def no_report(step: str, share: float) -> None:
-    """Take no notice."""
+Report = Callable[[str], object]
 
 
 @dataclass(frozen=True)
@@ -110,7 +106,7 @@ def tune(
     training: BagTraining,
     amplitude: Amplitude | None = None,
     settings: TuningSettings = TUNING,
-    report: Report = no_report,
+    report: Report = lambda step: None,
     safe: SafeRange | None = None,
 ) -> Tuning:
     """Choose the cost and all constants of a controller.
@@ -128,7 +124,7 @@ def tune(
     settings : TuningSettings
         Budget and thresholds.
     report : callable
-        Is told what is done, and of each step its share of all.
+        Is told each step, in words.
     safe : SafeRange, optional
         Thetas that keep the constraint; the rig's limits are within them.
 
@@ -139,7 +135,7 @@ def tune(
     koop_core.errors.InputError
         If the recording cannot be used.
     """
-    report("costs", 0.0)
+    report("the static maps of amplitude and costs")
     findings = analyse(loaded, rig, training, amplitude, settings, safe)
     times = fit_times(loaded, findings.dwells, findings.static_map, findings.scale, rig.dt)
     slowest = max(times.tau(float(a), up) for a in findings.static_map.mean for up in (False, True))
@@ -154,15 +150,11 @@ def tune(
     candidates += [j for j in usable[settings.candidates :] if j.cost.name == "raw"]
     searched = []
     for maps in candidates:
-        name, share = maps.cost.name, 1.0 / (len(candidates) * len(settings.longer))
-
-        def report_part(part: float, name: str = name, share: float = share) -> None:
-            report(name, part * share)
-
+        report(f"constants for the cost {maps.cost.name}")
         make = functools.partial(
             make_task, loaded, findings, maps, times, rig=rig, settings=settings
         )
-        searched.append(search_cost(make, time, maps, rig, settings, report_part))
+        searched.append(search_cost(make, time, maps, rig, settings))
     searched.sort(key=lambda s: s.score)
     chosen, why = choose(searched, settings.as_good)
     best = confirm(chosen.task, chosen.trials, settings.seed)[0]
@@ -200,7 +192,7 @@ def refuse_undamped(prediction: Prediction, findings: Findings) -> None:
 
 def search_cost(
     make: Callable[[float], Task], time: float, maps: CostMaps, rig: RigFile,
-    settings: TuningSettings, report: Callable[[float], None],
+    settings: TuningSettings,
 ) -> SearchedCost:  # fmt: skip
     """Search constants for a cost with runs as short as they can be, as long as they must.
 
@@ -212,7 +204,7 @@ def search_cost(
         task = make(longer * time)
         if best is not None and task.steps * rig.dt > settings.longest * rig.time:
             break  # nobody waits for it, and no rig stays as it was for so long
-        trials = search(task, settings.effort, settings.seed, report, workers)
+        trials = search(task, settings.effort, settings.seed, workers)
         if best is None or trials[0].rank < best.trials[0].rank - math.log(settings.as_good):
             best = SearchedCost(maps, trials, task)
         if best.score < math.log(settings.search.convergence.good):
