@@ -9,9 +9,6 @@ from koop_commission.fitness.samples import Samples
 from koop_commission.stages.new_rig_file import (
     Interview,
     ask,
-    parse_knobs,
-    parse_limits,
-    parse_number,
     propose_limits,
 )
 from koop_core.config.parameter import ConfigError
@@ -31,7 +28,7 @@ def test_an_empty_line_takes_the_proposal(monkeypatch, capsys):
 
 def test_a_wrong_answer_is_asked_again_at_a_terminal_and_refused_from_a_pipe(monkeypatch, capsys):
     def parse(text):
-        return parse_number("dt", {}, text)
+        return Interview(None, []).parse("dt", text)
 
     answer(monkeypatch, "abc\n0.5\n", terminal=True)
     assert ask("dt", "", parse) == 0.5
@@ -51,29 +48,30 @@ def test_no_more_answers_are_an_error_that_names_the_question(monkeypatch):
     ("name", "text", "error"),
     [
         ("theta_min", "-1.5", None),
-        ("dt", "0", r"0: must be 1e-06 to 1 s"),
-        ("theta_max", "-2", r"-2: must be above theta_min = -1"),
-        ("theta_start", "9", r"9: must lie within \[-1, 3\]"),
-        ("theta_safe", "nan", "nan: must be finite"),
+        ("dt", "0", r"dt = 0: must be 1e-06 to 1 s"),
+        ("theta_max", "-2", r"theta_min = -1 must be below theta_max = -2"),
+        ("theta_start", "9", r"theta_start = 9: must lie within .* \[-1, 3\]"),
+        ("theta_safe", "nan", "theta_safe = nan: must be a finite number"),
     ],
 )
 def test_a_number_fits_its_range_and_the_values_before(name, text, error):
     values = {"theta_min": -1.0, "theta_max": 3.0} if name != "theta_min" else {}
     if error is None:
-        assert parse_number(name, values, text) == float(text)
+        assert Interview(None, [], values).parse(name, text) == float(text)
         return
     with pytest.raises(ConfigError, match=error):
-        parse_number(name, values, text)
+        Interview(None, [], values).parse(name, text)
 
 
 def test_several_knobs_take_one_number_or_one_each():
-    values = {"theta_min": (-1.0, 0.0), "theta_max": (3.0, 0.3)}
-    assert parse_knobs("theta_start", values, 2, "0.2") == 0.2
-    assert parse_knobs("theta_start", values, 2, "2.5, 0.1") == (2.5, 0.1)
-    with pytest.raises(ConfigError, match=r"1: must lie within \[0, 0.3\]"):
-        parse_knobs("theta_start", values, 2, "2.5 1")
-    with pytest.raises(ConfigError, match="3 numbers for 2 knobs"):
-        parse_knobs("theta_start", values, 2, "1 2 3")
+    values = {"command": "/b:p,q", "theta_min": (-1.0, 0.0), "theta_max": (3.0, 0.3)}
+    interview = Interview(None, [], values)
+    assert interview.parse("theta_start", "0.2") == 0.2
+    assert interview.parse("theta_start", "2.5, 0.1") == (2.5, 0.1)
+    with pytest.raises(ConfigError, match=r"theta_start = 1 of q: must lie within .* \[0, 0.3\]"):
+        interview.parse("theta_start", "2.5 1")
+    with pytest.raises(ConfigError, match=r"one for each of at most|has 3 values"):
+        interview.parse("theta_start", "1 2 3")
 
 
 def test_proposed_limits_leave_room_also_beside_an_offset():
@@ -103,12 +101,14 @@ def test_no_limits_are_proposed_where_a_channel_stands_still(
 
 
 def test_limits_are_as_many_as_channels_and_the_largest_above_the_least():
-    assert parse_limits("none", None, 2) == ()
-    assert parse_limits("-1, 0", None, 2) == (-1.0, 0.0)
-    with pytest.raises(ConfigError, match="3 numbers for 2 channels"):
-        parse_limits("1 2 3", None, 2)
-    with pytest.raises(ConfigError, match="0: must be above channel_min = 0"):
-        parse_limits("1 0", (-1.0, 0.0), 2)
+    interview = Interview(None, [], {"measured": "/rig:x,y", "channel_min": (-1.0, 0.0)})
+    assert interview.parse("channel_max", "none") == ()
+    assert interview.parse("channel_max", "1, 2") == (1.0, 2.0)
+    assert Interview(None, [], {"measured": "/rig:x"}).parse("channel_max", "1") == (1.0,)
+    with pytest.raises(ConfigError, match="channel_max has 3 values: one for each of 2 channels"):
+        interview.parse("channel_max", "1 2 3")
+    with pytest.raises(ConfigError, match="channel_min = 0 must be below channel_max = 0"):
+        interview.parse("channel_max", "1 0")
 
 
 def test_the_field_theta_is_proposed_also_where_it_is_an_array(monkeypatch):

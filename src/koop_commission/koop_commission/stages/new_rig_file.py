@@ -38,6 +38,7 @@ from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 
 CONTROLLER_TOPICS = ("/cost", "/theta", "/ground_truth")
+FAR = 1e300  # a limit of theta that was not asked for yet
 SPECS = {item.name: spec_of(item) for item in fields(RigFile)}
 Answer = TypeVar("Answer")
 
@@ -119,19 +120,18 @@ class Interview:
     def run(self) -> RigFile:
         """Ask for every value of the rig file."""
         samples = self._ask_measured()
-        self._ask_number("dt", _propose_dt(samples))
+        self._ask("dt", proposal=_propose_dt(samples))
         self._ask_command()
         for name in ("theta_min", "theta_max", "theta_rate", "theta_start"):
-            self._ask_number(name)
+            self._ask(name)
         start = self.values["theta_start"]
         starts = start if isinstance(start, tuple) else [start]
         proposal = " ".join(f"{v:g}" for v in starts)
-        self._ask_number("theta_safe", proposal)
+        self._ask("theta_safe", proposal=proposal)
         self._ask_limits(samples)
         objective = SPECS["objective"]
-        question = f"{objective.description} ({objective.constraint})"
-        self.values["objective"] = ask(question, "minimise", _parse_objective)
-        self._ask_number("time", f"{PROPOSAL.time * (2 * len(starts) - 1):g}")
+        self._ask("objective", f"{objective.description} ({objective.constraint})", "minimise")
+        self._ask("time", proposal=f"{PROPOSAL.time * (2 * len(starts) - 1):g}")
         return RigFile(**self.values)
 
     def _ask_measured(self) -> Samples | None:
@@ -179,7 +179,9 @@ class Interview:
         head = "topics with a subscriber" if subscribed else "no topic has a subscriber"
         head += " (name several, separated by commas, for several knobs)" * (len(subscribed) > 1)
         topics = _ask_topics("topic that takes theta", subscribed, head, MOST)
-        self.values["command"] = ", ".join(starmap(self._ask_fields, topics))
+        command = ", ".join(starmap(self._ask_fields, topics))
+        RigFile(**{**self.values, "command": command})  # refused if it names a knob twice
+        self.values["command"] = command
 
     def _ask_fields(self, topic: str, kind: str) -> str:
         from koop_node.node.managed import message_type
@@ -216,55 +218,43 @@ class Interview:
             ("channel_min", "channel_max"), ("least", "largest"), proposals, strict=True
         ):
             question = f"{word} value of {_join(channels)}, beyond it theta returns; none: no limit"
-            parse = partial(parse_limits, above=self.values.get("channel_min"), count=len(channels))
-            self.values[name] = ask(question, proposal, parse, seen * (name == "channel_min"))
+            self._ask(name, question, proposal, seen * (name == "channel_min"))
 
-    def _ask_number(self, name: str, proposal: str = "") -> None:
-        unit = f" [{SPECS[name].unit}]" * bool(SPECS[name].unit)
-        question = f"{SPECS[name].description}{unit}"
-        knobs = 1
-        if SPECS[name].per_knob:
+    def _ask(self, name: str, question: str = "", proposal: str = "", more: str = "") -> None:
+        spec, knobs = SPECS[name], 1
+        if spec.per_knob:
             knobs = sum(len(source.fields) for source in parse_sources(self.values["command"]))
+        question = question or f"{spec.description}{f' [{spec.unit}]' * bool(spec.unit)}"
         question += f", one number or {knobs}" * (knobs > 1)
-        self.values[name] = ask(question, proposal, partial(parse_knobs, name, self.values, knobs))
+        self.values[name] = ask(question, proposal, partial(self.parse, name), more)
+
+    def parse(self, name: str, text: str) -> Any:
+        """Return the answer for a key of the rig file, given those before.
+
+        Raises
+        ------
+        koop_core.config.parameter.ConfigError
+            If a rig file with it would be refused.
+        """
+        value: Any = text if name == "objective" else parse_numbers(text)
+        if not name.startswith("channel") and len(value) == 1:
+            (value,) = value
+        values = {"command": "/not/asked/yet:x", **self.values, name: value}
+        low = values.get("theta_min", -FAR)
+        RigFile(**{"theta_min": low, "theta_max": FAR, "theta_start": low, "theta_safe": low,
+                   **values})  # fmt: skip
+        return value
 
 
-def parse_knobs(
-    name: str, values: dict[str, Any], knobs: int, text: str
-) -> float | tuple[float, ...]:
-    """Return the number of each knob, or one for all; raise as :func:`parse_number` does."""
-    words = text.replace(",", " ").split() or [text]
-    if len(words) not in (1, knobs):
-        raise ConfigError(f"{len(words)} numbers for {knobs} knob{'s' * (knobs > 1)}")
-    of_knobs = {k: v for k, v in values.items() if SPECS[k].per_knob}
+def parse_numbers(text: str) -> tuple[float, ...]:
+    """Return numbers that are separated by spaces or commas; ``none`` are none."""
     numbers = []
-    for i, word in enumerate(words * (knobs // len(words))):
-        own = {k: v[i] if isinstance(v, tuple) else v for k, v in of_knobs.items()}
-        numbers.append(parse_number(name, own, word))
-    return tuple(numbers) if len(words) > 1 else numbers[0]
-
-
-def parse_number(name: str, values: dict[str, Any], text: str) -> float:
-    """Return the number of a rig file's key, given the values asked for before.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it is not a number, out of range, or contradicts a value before.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        raise ConfigError(f"{text!r} is not a number") from None
-    spec = SPECS[name]
-    if not spec.low <= value <= spec.high:
-        raise ConfigError(f"{value:g}: must be {spec.constraint or 'finite'}")
-    low, high = values.get("theta_min", -math.inf), values.get("theta_max", math.inf)
-    if name == "theta_max" and value <= low:
-        raise ConfigError(f"{value:g}: must be above theta_min = {low:g}")
-    if name in ("theta_start", "theta_safe") and not low <= value <= high:
-        raise ConfigError(f"{value:g}: must lie within [{low:g}, {high:g}]")
-    return value
+    for word in [] if text == "none" else text.replace(",", " ").split() or [text]:
+        try:
+            numbers.append(float(word))
+        except ValueError:
+            raise ConfigError(f"{word!r} is not a number") from None
+    return tuple(numbers)
 
 
 def _ask_topics(
@@ -317,34 +307,6 @@ def propose_limits(least: NDArray[np.float64], most: NDArray[np.float64]) -> lis
         " ".join(f"{round(v, n):.15g}" for v, n in zip(x.tolist(), digits.tolist(), strict=True))
         for x in (least - room, most + room)
     ]
-
-
-def parse_limits(text: str, above: tuple[float, ...] | None, count: int) -> tuple[float, ...]:
-    """Return a limit of each channel, none for ``none``; those of channel_max lie above others.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it is not as many numbers, or one is not above its channel's lower limit.
-    """
-    if text == "none":
-        return ()
-    try:
-        values = tuple(float(word) for word in text.replace(",", " ").split())
-    except ValueError:
-        raise ConfigError(f"{text!r} is not a list of numbers") from None
-    if len(values) != count:
-        raise ConfigError(f"{len(values)} numbers for {count} channels")
-    for low, high in zip(above or (), values, strict=False):
-        if high <= low:
-            raise ConfigError(f"{high:g}: must be above channel_min = {low:g}")
-    return values
-
-
-def _parse_objective(text: str) -> str:
-    if text not in SPECS["objective"].choices:
-        raise ConfigError(f"{text!r}: must be {SPECS['objective'].constraint}")
-    return text
 
 
 def _join(paths: Sequence[Field]) -> str:
