@@ -27,7 +27,7 @@ interface TimeFigure {
   label: string;
   stream(loop: Loop): Stream;
   signals: readonly string[] | "channels" | "knobs";
-  log?: boolean; // as the page says for r
+  log?: boolean;
   withLimits?: boolean; // the axis reaches from limit to limit
   hooks?: uPlot.Hooks.Arrays;
 }
@@ -68,7 +68,6 @@ class Figure {
 
 /** All figures of the page. */
 export class Figures {
-  logR = true;
   private readonly figures: Figure[];
 
   constructor(
@@ -126,9 +125,8 @@ export class Figures {
       const { signals } = figure;
       return typeof signals === "string" ? (this.desk.loop?.[signals] ?? []) : signals;
     };
-    const isLog = (): boolean => figure.log === true && this.logR;
     return new Figure(figure.name, () => time.period(), {
-      shape: () => `${names()} ${isLog()} ${time.recorded}`,
+      shape: () => `${names()} ${time.recorded}`,
       options: (width) => ({
         width,
         height: figure.height,
@@ -139,10 +137,10 @@ export class Figures {
         scales: {
           x: { time: !time.recorded, range: () => time.range() },
           y: {
-            distr: isLog() ? 3 : 1,
+            distr: figure.log ? 3 : 1,
             range: (u, low, high) => {
               const limits = figure.withLimits ? this.desk.limits.flat() : [];
-              const pad = padded(isLog(), 0.06);
+              const pad = padded(figure.log === true, 0.06);
               if (low === null || high === null) return pad(u, low, high);
               return pad(u, Math.min(low, ...limits), Math.max(high, ...limits));
             },
@@ -153,7 +151,7 @@ export class Figures {
             space: 80,
             values: (_u, splits) => splits.map((t) => time.tick(t)),
           }),
-          axis(54, isLog(), { label: figure.label }),
+          axis(54, figure.log === true, { label: figure.label }),
         ],
         cursor: {
           y: false,
@@ -168,7 +166,7 @@ export class Figures {
         const { loop } = this.desk;
         if (!loop) return undefined;
         const data = curves(figure.stream(loop), names(), ...time.range());
-        return (isLog() ? positive(data) : data) as unknown as uPlot.AlignedData;
+        return (figure.log ? positive(data) : data) as unknown as uPlot.AlignedData;
       },
     });
   }
@@ -213,7 +211,6 @@ export class Figures {
 
   private mapDrawing(): Drawing {
     return {
-      shape: () => String(this.logR),
       options: (width) => ({
         width,
         height: 240,
@@ -226,9 +223,9 @@ export class Figures {
         bands: [{ series: [2, 1], fill: `${color(2)}30` }],
         scales: {
           x: { time: false, range: padded(false, 0.03) },
-          y: { distr: this.logR ? 3 : 1, range: padded(this.logR, 0.06) },
+          y: { distr: 3, range: padded(true, 0.06) },
         },
-        axes: [axis(24, false), axis(54, this.logR, { label: "r" })],
+        axes: [axis(24, false), axis(54, true, { label: "r" })],
         cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
         hooks: { draw: [(u) => this.drawLimits(u, "x"), (u) => this.drawNow(u)] },
       }),

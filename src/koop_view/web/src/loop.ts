@@ -51,7 +51,6 @@ export class Loop {
   swing = NaN;
   gradient = NaN;
   confidence = NaN;
-  stamp = NaN; // of the newest state's header [s]; 0: the rig sets none
 
   constructor(public names: LoopNames) {}
 
@@ -97,8 +96,6 @@ export class Loop {
     if (!x) return;
     if (x.length !== this.channels.length) this.channels = Array.from(x, (_, i) => `x[${i}]`);
     if (step < this.state.lastStep) this.mark(t, "restart");
-    const { stamp } = message["header"] as { stamp: { sec: number; nanosec: number } };
-    this.stamp = stamp.sec + stamp.nanosec / 1e9;
     this.state.push(t, step, this.channels, x, now);
   }
 

@@ -64,10 +64,6 @@ export class Page {
       button.addEventListener("click", () => this.time.follow(Number(button.value)));
     }
     byId("zoomed").addEventListener("click", () => this.time.follow(this.time.span));
-    byId("log-r").addEventListener("change", () => {
-      this.figures.logR = byId<HTMLInputElement>("log-r").checked;
-      this.figures.redraw();
-    });
     // the address of a restarted server, opened in the tab of the old one, loads no page by itself
     addEventListener("hashchange", () => location.reload());
     showSpans(this.time);

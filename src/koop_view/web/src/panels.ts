@@ -78,8 +78,7 @@ function healthLine(
   const silent = stream && !recorded ? silence(stream, now) : 0;
   const age = silent ? `${silent.toFixed(1)} s` : inputAge(node.report);
   let rate = silent ? 0 : (stream?.rate ?? NaN);
-  if (recorded) rate = 1 / (stream?.meanPeriod ?? NaN);
-  else if (!Number.isFinite(stream?.at)) rate = Number(node.report?.values["rate_hz"] ?? NaN);
+  if (!Number.isFinite(stream?.at)) rate = Number(node.report?.values["rate_hz"] ?? NaN);
   const rateText = Number.isFinite(rate) ? `${rate.toFixed(rate < 10 ? 1 : 0)} /s` : "";
   const lost = losses(node.report);
   return make(
@@ -114,7 +113,6 @@ export function showForce(desk: Desk): void {
     ["slope dr/dθ", finite(loop?.gradient)],
     ["confidence", finite(loop?.confidence)],
     ["swing", loop?.swing === 1 ? "" : finite(loop?.swing)],
-    ["stamps", loop?.stamp === 0 ? "none: the rig sets no header stamp" : ""],
   ];
   for (const [role, units] of Object.entries(PARAMETERS)) {
     for (const [key, unit] of Object.entries(units)) {

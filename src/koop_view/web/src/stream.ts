@@ -34,11 +34,6 @@ export class Stream {
     return this.next > this.since ? this.times[this.oldest % SAMPLES]! : Infinity;
   }
 
-  /** Seconds between two messages, over all of them. */
-  get meanPeriod(): number {
-    return (this.last - this.first) / (this.next - this.since - 1);
-  }
-
   /** Messages per second in the second before the newest. */
   get rate(): number {
     const newest = this.next - 1;
