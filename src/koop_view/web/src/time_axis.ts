@@ -37,7 +37,7 @@ export class TimeAxis {
     if (!Number.isFinite(now)) return [0, 1];
     if (this.span > 0) return [now - this.span, now];
     const first = this.first();
-    return now - first > 1 ? [first, now] : [now - 1, now];
+    return now > first ? [first, now] : [now - 1, now];
   }
 
   /** Milliseconds between two drawings: a column moves no sooner. */
@@ -53,6 +53,6 @@ export class TimeAxis {
   }
 
   tick(t: number): string {
-    return this.recorded ? `${Number(t.toFixed(2))} s` : clock(t);
+    return this.recorded ? `${Number(t.toFixed(4))} s` : clock(t);
   }
 }
