@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from koop_bag.bag.losses import LossCounter
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
 from koop_bag.recorder.drain import AT_ONCE, HAS_STEP, MOST, ROOM, STEP, Drain, Rows
-from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, skip, subscribe
+from koop_bag.recorder.topics import RecordedTopic, fetch, skip, subscribe, watch
 from koop_node.node.managed import message_type
 
 pytestmark = pytest.mark.ros
@@ -188,7 +188,7 @@ def test_without_a_time_of_reception_messages_have_that_of_their_poll(node, mess
             publisher.publish(messages.loop("/state", k))
         wait_for(lambda: all(p.wait_for_all_acked() for p in publishers))
         before = time.time_ns()
-        of_poll = fetch(drain, topics).table[:, LOG_TIME].tolist()
+        of_poll = fetch(drain, topics, {}).table[:, LOG_TIME].tolist()
         assert len(of_poll) == 2
         assert all(before <= received <= time.time_ns() for received in of_poll)
         times += of_poll
@@ -240,7 +240,7 @@ def test_topics_are_merged_in_the_order_of_reception_and_channels_opened_in_it(n
     names = ("/late", "/early", "/silent")
     topics = [RecordedTopic(node, name, LOOP["/state"], DEPTH, announce) for name in names]
     late, early, _ = [publisher_to(node, name, 1) for name in names]
-    watched = [WatchedNode(node, "/other")]
+    watched = {"/other": watch(node, "/other")}
     for k in range(3):
         early.publish(messages.loop("/state", k))
         time.sleep(0.002)
@@ -259,4 +259,4 @@ def test_topics_are_merged_in_the_order_of_reception_and_channels_opened_in_it(n
     wait_for(early.wait_for_all_acked)
     assert [row[1] for row in fetch(drain, topics, watched).rows()] == [1]
     assert (topics[1].losses.lost, topics[1].losses.inactive) == (0, 9)
-    assert list(fetch(drain, [], []).rows()) == []
+    assert list(fetch(drain, [], {}).rows()) == []

@@ -163,6 +163,8 @@ def test_qos_of_older_recorders_is_read():
         " deadline: {sec: 2147483647, nsec: 4294967295}, lifespan: {sec: 1, nsec: 5},"
         " liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}}"
     )
-    assert actual == OfferedQos("best_effort", "transient_local", depth=5, lifespan=(1, 5))
+    assert actual == OfferedQos(
+        depth=5, reliability="best_effort", durability="transient_local", lifespan=(1, 5)
+    )
     with pytest.raises(BagError, match="QoS"):
         parse_qos("- {history: 99}")

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,62 +22,45 @@ _WORDS = {
 """The policies by the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h)."""
 
 
+_SPANS = ("deadline", "lifespan", "liveliness_lease_duration")
+
+
 @dataclass(frozen=True)
 class OfferedQos:
-    """QoS of one publisher, in rosbag2's words.
+    """QoS of one publisher, in rosbag2's words and order.
 
     Durations are (seconds, nanoseconds); None is 'no limit'.
     """
 
-    reliability: str = "reliable"
-    durability: str = "volatile"
     history: str = "keep_last"
     depth: int = 10
-    liveliness: str = "automatic"
+    reliability: str = "reliable"
+    durability: str = "volatile"
     deadline: tuple[int, int] | None = None
     lifespan: tuple[int, int] | None = None
+    liveliness: str = "automatic"
     liveliness_lease_duration: tuple[int, int] | None = None
 
     @classmethod
     def from_map(cls, values: Mapping[str, Any]) -> "OfferedQos":
         """Return the inverse of `as_map`; what is absent takes its default."""
-
-        def span(name: str) -> tuple[int, int] | None:
-            value = values.get(name) or _FOREVER
-            return None if value["sec"] >= _LONG else (value["sec"], value["nsec"])
-
-        def word(name: str) -> str:
-            value = values[name]
-            return (
-                str(value) if not isinstance(value, int) else dict(enumerate(_WORDS[name]))[value]
-            )
-
-        policies = {name: word(name) for name in _WORDS if name in values}
-        return cls(
-            depth=int(values.get("depth", 0)),
-            deadline=span("deadline"),
-            lifespan=span("lifespan"),
-            liveliness_lease_duration=span("liveliness_lease_duration"),
-            **policies,
-        )
+        policies: dict[str, Any] = {"depth": int(values.get("depth", 0))}
+        for name, words in _WORDS.items():
+            if name in values:
+                word = values[name]
+                policies[name] = words[word] if isinstance(word, int) else str(word)
+        for name in _SPANS:
+            span = values.get(name) or _FOREVER
+            policies[name] = None if span["sec"] >= _LONG else (span["sec"], span["nsec"])
+        return cls(**policies)
 
     def as_map(self) -> dict[str, Any]:
         """All keys that rosbag2 demands, in its order."""
-
-        def span(value: tuple[int, int] | None) -> dict[str, int]:
-            return dict(_FOREVER) if value is None else {"sec": value[0], "nsec": value[1]}
-
-        return {
-            "history": self.history,
-            "depth": self.depth,
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "deadline": span(self.deadline),
-            "lifespan": span(self.lifespan),
-            "liveliness": self.liveliness,
-            "liveliness_lease_duration": span(self.liveliness_lease_duration),
-            "avoid_ros_namespace_conventions": False,
-        }
+        values = asdict(self)
+        for name in _SPANS:
+            span = values[name]
+            values[name] = {"sec": span[0], "nsec": span[1]} if span else dict(_FOREVER)
+        return {**values, "avoid_ros_namespace_conventions": False}
 
 
 @dataclass(frozen=True)
@@ -217,7 +200,7 @@ def parse_qos(text: str) -> list[OfferedQos]:
     """Return the QoS that the publishers of a topic offered, from the channel's text."""
     try:
         return [OfferedQos.from_map(item) for item in parse(text, "QoS of a topic") or ()]
-    except (AttributeError, KeyError, TypeError, ValueError):
+    except (AttributeError, LookupError, TypeError, ValueError):
         raise BagError("the bag's QoS of a topic is not in rosbag2's form") from None
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-import zstandard
 from mcap.records import Channel, Schema
 
 from koop_bag.bag.metadata import FileRecord, OfferedQos, TopicRecord, bag_map, dump
@@ -130,13 +129,14 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagWriteError(
                 f"{self.folder} already holds a bag: choose another folder, nothing is overwritten"
             )
-        self._chunk = _chunk_buffer(self.options)
+        chunk_age = int(self.options.chunk_seconds * 1e9)
+        self._chunk = ChunkBuffer(self.options.compression, self.options.chunk_bytes, chunk_age)
         self._open_file()
 
     @property
     def bytes_written(self) -> int:
         """Bytes on the disk, without dropped files."""
-        return self._closed_bytes + self._file.size + self._alarm_bytes
+        return self._file.size + _bytes_of(self._files + self._alarms)
 
     @property
     def message_count(self) -> int:
@@ -305,7 +305,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _is_too_much(self) -> bool:
         """Whether the closed files and one more like the last are more than is to be kept."""
         last, options = self._files[-1], self.options
-        taken = self._closed_bytes + self._alarm_bytes
+        taken = _bytes_of(self._files + self._alarms)
         too_large = 0 < options.keep_bytes < taken + last.size
         age = last.end - self._files[0].end
         return too_large or 0 < options.keep_seconds * 1e9 < age
@@ -337,7 +337,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _has_room_for(self, record: FileRecord) -> bool:
         """Whether a file around an alarm may be kept for good."""
         if self.options.keep_bytes:
-            return 2 * (self._alarm_bytes + record.size) <= self.options.keep_bytes
+            return 2 * (_bytes_of(self._alarms) + record.size) <= self.options.keep_bytes
         return len(self._alarms) < RING // 2
 
     def _remove_dropped(self, left: Sequence[FileRecord]) -> None:
@@ -356,14 +356,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             except OSError as error:
                 raise BagWriteError(f"cannot drop {path}: {error.strerror}") from error
         self._dropped.clear()
-
-    @property
-    def _alarm_bytes(self) -> int:
-        return sum(file.size for file in self._alarms)
-
-    @property
-    def _closed_bytes(self) -> int:
-        return sum(file.size for file in self._files)
 
     def _finish_file(self) -> None:
         self._describe()
@@ -406,17 +398,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagWriteError(f"the bag {self.folder} is closed")
 
 
+def _bytes_of(files: Iterable[FileRecord]) -> int:
+    return sum(file.size for file in files)
+
+
 def _link(path: Path, target: Path) -> None:
     """Give a file a second place, or, on a file system without links, only the new one."""
     try:
         target.hardlink_to(path)
     except OSError:
         path.rename(target)
-
-
-def _chunk_buffer(options: WriterOptions) -> ChunkBuffer:
-    age = int(options.chunk_seconds * 1e9)
-    if options.compression == "none":
-        return ChunkBuffer(None, "", options.chunk_bytes, age)
-    # One context for all chunks: setting one up costs more than compressing a small chunk.
-    return ChunkBuffer(zstandard.ZstdCompressor(level=1).compress, "zstd", options.chunk_bytes, age)

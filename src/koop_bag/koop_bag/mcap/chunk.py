@@ -7,10 +7,11 @@ that it records.
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Chunk, ChunkIndex, McapRecord
@@ -137,25 +138,18 @@ class ChunkBuffer:
 
     Parameters
     ----------
-    compress : callable or None
-        Makes the stored bytes of a chunk out of its records; None stores them as they are.
     compression : str
-        Its MCAP name, `zstd` or empty.
+        `zstd` or `none`.
     max_bytes : int
         The chunk is full when its records take this much [B] ...
     max_age : int
         ... or when a message is logged this long after the first one [ns].
     """
 
-    def __init__(
-        self,
-        compress: Callable[[bytes], bytes] | None,
-        compression: str,
-        max_bytes: int,
-        max_age: int,
-    ) -> None:
-        self._compress = compress
-        self._compression = compression
+    def __init__(self, compression: str, max_bytes: int, max_age: int) -> None:
+        # One context for all chunks: setting one up costs more than compressing a small chunk.
+        self._zstd = zstandard.ZstdCompressor(level=1) if compression == "zstd" else None
+        self._compression = compression if self._zstd else ""
         self._max_bytes = max_bytes
         self._max_age = max_age
         self._progress = _Progress(
@@ -207,7 +201,7 @@ class ChunkBuffer:
     def encode(self, offset: int) -> tuple[bytes, ChunkIndex]:
         """Return the chunk and its message indexes, to lie at `offset`, and its summary entry."""
         records = self._progress.records[: self.size].tobytes()
-        stored = records if self._compress is None else self._compress(records)
+        stored = records if self._zstd is None else self._zstd.compress(records)
         times = self._entries[:, 1]
         chunk = Chunk(
             compression=self._compression,

@@ -24,7 +24,7 @@ from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.drain import Drain
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.summary import SummaryWriter
-from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled, skip
+from koop_bag.recorder.topics import RecordedTopic, fetch, polled, skip, watch
 from koop_core.errors import KoopError
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 from koop_node.node.received import read_message
@@ -48,7 +48,7 @@ class RecorderRun(Run):
         config = node.parameters[RecorderConfig]
         self._node = node
         self._config = config
-        self._watched: dict[str, WatchedNode] = {}
+        self._watched: dict[str, Any] = {}  # subscriptions, by node
         self._topics: dict[str, RecordedTopic] = {}
         self._problem = self._scarce = ""
         self._recording = self._paused = False
@@ -61,7 +61,7 @@ class RecorderRun(Run):
         self._writer: BagWriter | None = None
         self._summary: SummaryWriter | None = None  # of a ring
         self._drain = Drain()
-        ChunkBuffer(None, "", 0, 0)  # compiled before a message may come: the first time takes long
+        ChunkBuffer("none", 0, 0)  # compiled before a message may come: the first time takes long
         release_compiler()
         self._collector = ParameterCollector(node, node.get_namespace())
         entities.on_close(self._release)
@@ -133,8 +133,8 @@ class RecorderRun(Run):
     def _release(self) -> None:
         """Release what is not an entity of the run, as far as it was made."""
         self._collector.close()
-        topics, nodes = self._topics.values(), self._watched.values()
-        for subscription in [s.subscription for s in topics] + [s.subscription for s in nodes]:
+        recorded = [topic.subscription for topic in self._topics.values()]
+        for subscription in [*recorded, *self._watched.values()]:
             self._node.destroy_subscription(subscription)
         self._topics, self._watched = {}, {}
 
@@ -158,7 +158,7 @@ class RecorderRun(Run):
         for topic in self._topics.values():
             topic.match()
             for name in topic.publishers - self._watched.keys():
-                self._watched[name] = WatchedNode(self._node, name)
+                self._watched[name] = watch(self._node, name)
         if self._collector.look():
             self._guarded(self._keep_parameters)
         self._guarded(self._look_at_the_disk)
@@ -218,11 +218,11 @@ class RecorderRun(Run):
         if self._writer is not None and self._recording:
             self._guarded(self._write_waiting)
         else:
-            skip(self._drain, *self._sources())
+            skip(self._drain, [*self._topics.values()], self._watched)
 
     def _write_waiting(self) -> None:
         assert self._writer is not None
-        batch = fetch(self._drain, *self._sources())
+        batch = fetch(self._drain, [*self._topics.values()], self._watched)
         self._writer.write_batch(batch)
         rows = [] if self._summary is None else list(batch.rows())
         if self._trips and any([self._is_new_trip(row) for row in rows]):
@@ -231,9 +231,6 @@ class RecorderRun(Run):
         self._writer.flush_due(now)
         if self._summary is not None:
             self._summary.add(rows, now)
-
-    def _sources(self) -> tuple[list[RecordedTopic], list[WatchedNode]]:
-        return list(self._topics.values()), list(self._watched.values())
 
     def _is_new_trip(self, row: Row) -> bool:
         """Return whether a message says that a guard has tripped; it may say so again."""

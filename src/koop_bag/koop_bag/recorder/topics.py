@@ -8,7 +8,7 @@ The time of reception comes from DDS and does not depend on when a message is fe
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -140,17 +140,13 @@ class RecordedTopic:
         return subscribe(self._node, self._type, self.name, self._queue, *self._wanted)
 
 
-class WatchedNode:
-    """Lifecycle transitions of a node that publishes recorded topics.
+def watch(node: Node, name: str) -> Any:
+    """Subscribe to the lifecycle transitions of a node that publishes recorded topics.
 
     While it is inactive, no message of it is lost.
     """
-
-    def __init__(self, node: Node, name: str) -> None:
-        self.name = name
-        self.subscription: Any = node.create_subscription(
-            TransitionEvent, f"{name}/transition_event", polled, QoSProfile(depth=100), raw=True
-        )
+    topic = f"{name}/transition_event"
+    return node.create_subscription(TransitionEvent, topic, polled, QoSProfile(depth=100), raw=True)
 
 
 Transition = tuple[int, str]
@@ -173,17 +169,16 @@ def subscribe(
     return node.create_subscription(kind, name, polled, profile, raw=True, event_callbacks=events)
 
 
-def fetch(
-    drain: Drain, topics: Sequence[RecordedTopic], nodes: Sequence[WatchedNode] = ()
-) -> Batch:
+def fetch(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any]) -> Batch:
     """Take the waiting messages of all topics, in the order of reception, and count them.
 
-    A transition of a node interrupts the count of the topics that it publishes.
+    A transition of one of the nodes, by name with what :func:`watch` returned, interrupts the count
+    of the topics that it publishes.
     """
     taken = take(drain, topics, nodes)
     transitions = sorted(
-        (at, node.name)
-        for node, rows in zip(nodes, taken[len(topics) :], strict=True)
+        (at, name)
+        for name, rows in zip(nodes, taken[len(topics) :], strict=True)
         for at in rows.table[:, LOG_TIME].tolist()
     )
     for topic, rows in zip(topics, taken, strict=False):
@@ -198,16 +193,15 @@ def fetch(
     return Batch(table, drain.data)
 
 
-def skip(drain: Drain, topics: Sequence[RecordedTopic], nodes: Sequence[WatchedNode]) -> None:
+def skip(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any]) -> None:
     """Take the waiting messages and forget them."""
     for topic, rows in zip(topics, take(drain, topics, nodes), strict=False):
         topic.skip_rows(rows)
 
 
-def take(drain: Drain, topics: Sequence[RecordedTopic], nodes: Sequence[WatchedNode]) -> list[Rows]:
+def take(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any]) -> list[Rows]:
     """Take the waiting messages, each with the number of its topic for a channel."""
-    sources: list[RecordedTopic | WatchedNode] = [*topics, *nodes]
-    return drain.take([source.subscription for source in sources])
+    return drain.take([*(topic.subscription for topic in topics), *nodes.values()])
 
 
 def offered_qos(profile: QoSProfile) -> OfferedQos:
