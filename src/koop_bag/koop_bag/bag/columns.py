@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.definition import leaf_fields, parse_definition
-from koop_bag.cdr.gather import Bytes, Offsets, at_every_byte, decode
+from koop_bag.cdr.gather import Bytes, Offsets, at_every_byte, check_lengths, decode
 from koop_bag.cdr.layout import Layout, LayoutFinder
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD
@@ -85,9 +85,11 @@ def read_tables(bag: BagReader, tables: Mapping[str, Sequence[str] | None]) -> d
     for topic, fields in tables.items():
         names = list_fields(bag, topic) if fields is None else fields
         batches = parts.pop(topic) or [{name: np.empty(0) for name in names}]
-        joined[topic] = {
-            name: _join(name, [batch.pop(name) for batch in batches]) for name in names
-        }
+        joined[topic] = {}
+        for name in names:
+            arrays = [batch.pop(name) for batch in batches]
+            check_lengths(name, arrays)
+            joined[topic][name] = np.concatenate(arrays)
     return joined
 
 
@@ -168,17 +170,6 @@ def _decode_topic(
         if name in wanted.columns:
             columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]
     return {name: columns[name] for name in wanted.columns}
-
-
-def _join(name: str, arrays: list[NDArray[Any]]) -> NDArray[Any]:
-    shapes = sorted({array.shape[1:] for array in arrays})
-    if len(shapes) > 1:
-        lengths = " and ".join(str(shape[0]) for shape in shapes)
-        raise BagError(
-            f"'{name}' has {lengths} elements in different messages: "
-            f"choose elements, such as {name}[0]"
-        )
-    return np.concatenate(arrays)
 
 
 def _names(root: Struct) -> list[str]:

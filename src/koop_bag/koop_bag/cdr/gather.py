@@ -1,6 +1,6 @@
 """Takes fields out of many serialized messages at once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,7 @@ def decode(
     heads = at_every_byte(buffer, np.dtype("<u2"))[starts]
     if (heads != _LITTLE_ENDIAN_CDR).any():
         raise BagError("a message is not in little-endian CDR; other encodings are not supported")
-    columns = _Columns(len(starts))
+    columns: dict[str, NDArray[Any]] = {}
     groups = 0
     for size in np.unique(sizes):
         todo = np.flatnonzero(sizes == size)
@@ -61,9 +61,17 @@ def decode(
             # An element beyond the end of its array has no span.
             for name, span in layout.spans.items():
                 values = _take(buffer, starts[same], span) if span else np.full(same.size, np.nan)
-                columns.put(name, same, values)
+                column = columns.get(name)
+                if column is None:
+                    column = np.empty((len(starts), *values.shape[1:]), values.dtype)
+                if column.shape[1:] != values.shape[1:]:
+                    check_lengths(name, (column, values))
+                if column.dtype != values.dtype:  # NaN for some, numbers or strings for others
+                    column = column.astype(np.result_type(column.dtype, values.dtype))
+                column[same] = values
+                columns[name] = column
             todo = todo[1:] if same.size == 1 else np.setdiff1d(todo, same, assume_unique=True)
-    return columns.arrays
+    return columns
 
 
 def _matching(buffer: Bytes, starts: Offsets, candidates: Offsets, layout: Layout) -> Offsets:
@@ -97,23 +105,12 @@ def _strings(buffer: Bytes, where: Offsets, size: int) -> NDArray[Any]:
     return np.asarray(texts[index.reshape(-1)])
 
 
-class _Columns:
-    """Columns filled group by group."""
-
-    def __init__(self, n: int) -> None:
-        self._n = n
-        self.arrays: dict[str, NDArray[Any]] = {}
-
-    def put(self, name: str, rows: Offsets, values: NDArray[Any]) -> None:
-        column = self.arrays.get(name)
-        if column is None:
-            column = self.arrays[name] = np.empty((self._n, *values.shape[1:]), values.dtype)
-        if column.shape[1:] != values.shape[1:]:
-            lengths = f"{column.shape[1]} and {values.shape[1]}"
-            raise BagError(
-                f"'{name}' has {lengths} elements in different messages: "
-                f"choose elements, such as {name}[0]"
-            )
-        if column.dtype != values.dtype:  # NaN for some, numbers or strings for others
-            column = self.arrays[name] = column.astype(np.result_type(column.dtype, values.dtype))
-        column[rows] = values
+def check_lengths(name: str, arrays: Iterable[NDArray[Any]]) -> None:
+    """Raise BagError unless a field's arrays have the same number of elements."""
+    shapes = sorted({array.shape[1:] for array in arrays})
+    if len(shapes) > 1:
+        lengths = " and ".join(str(shape[0]) for shape in shapes)
+        raise BagError(
+            f"'{name}' has {lengths} elements in different messages: "
+            f"choose elements, such as {name}[0]"
+        )

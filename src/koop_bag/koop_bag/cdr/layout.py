@@ -10,16 +10,7 @@ import numpy as np
 
 from koop_bag.cdr.definition import leaf_fields
 from koop_bag.errors import BagError
-from koop_core.cdr import (
-    Array,
-    CdrError,
-    MessageType,
-    Primitive,
-    Struct,
-    Text,
-    Visitor,
-    Walk,
-)
+from koop_core.cdr import Array, CdrError, MessageType, Primitive, Struct, Text, Walk
 from koop_core.config.fields import parse_field
 from koop_core.config.parameter import ConfigError
 
@@ -103,7 +94,7 @@ class LayoutFinder:
         self._count = len(set(fields))
         self._spans: dict[str, Span | None] = {}
         for name in fields:
-            _check(root, name, name)
+            _check(root, name)
             node = self._wanted
             for key in _keys(name):
                 node = node.fields.setdefault(key, _Wanted(self))
@@ -113,24 +104,19 @@ class LayoutFinder:
     def find(self, message: bytes) -> Layout:
         """Walk one message. Raises BagError if it is shorter than its type says."""
         self._spans = {}
-        return Layout(walk(self._root, message, self._wanted if self._count else None), self._spans)
+        try:
+            walk = Walk(message)
+            if self._count:
+                walk.visit(self._root, self._wanted)
+        except CdrError as error:
+            raise BagError(f"a {self._root.name} is {error}") from None
+        return Layout(tuple(walk.guards), self._spans)
 
     def note(self, names: list[str], span: Span | None) -> bool:
         """Note where fields lie; return whether no other one is wanted."""
         for name in names:
             self._spans[name] = span
         return len(self._spans) >= self._count
-
-
-def walk(root: Struct, message: bytes, visitor: Visitor | None) -> tuple[tuple[int, int], ...]:
-    """Walk one message with a visitor, or not at all without one; return its length words."""
-    try:
-        passed = Walk(message)
-        if visitor is not None:
-            passed.visit(root, visitor)
-    except CdrError as error:
-        raise BagError(f"a {root.name} is {error}") from None
-    return tuple(passed.guards)
 
 
 def _keys(name: str) -> list[_Key]:
@@ -141,7 +127,7 @@ def _keys(name: str) -> list[_Key]:
     return [key for pair in path for key in pair if key is not None]
 
 
-def _check(root: Struct, name: str, label: str) -> None:
+def _check(root: Struct, name: str) -> None:
     kind: MessageType = root
     for key in _keys(name):
         if isinstance(key, int) and isinstance(kind, Array):
@@ -150,11 +136,11 @@ def _check(root: Struct, name: str, label: str) -> None:
             kind = dict(kind.fields)[key]
         else:
             columns = ", ".join(leaf_fields(root)) or "no column"
-            raise BagError(f"{root.name} has no field '{label}'; it has {columns}")
+            raise BagError(f"{root.name} has no field '{name}'; it has {columns}")
     if isinstance(kind, Struct) and not kind.is_stamp:
-        inner = ", ".join(f"{label}.{item}" for item in leaf_fields(kind))
-        raise BagError(f"'{label}' is a message of its own; choose one of its fields: {inner}")
+        inner = ", ".join(f"{name}.{item}" for item in leaf_fields(kind))
+        raise BagError(f"'{name}' is a message of its own; choose one of its fields: {inner}")
     if isinstance(kind, Array) and not isinstance(kind.element, Primitive):
         raise BagError(
-            f"'{label}' is an array of messages or strings; choose an element, such as '{label}[0]'"
+            f"'{name}' is an array of messages or strings; choose an element, such as '{name}[0]'"
         )
