@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -65,27 +66,24 @@ def costs(
         if delays.count > 1:
             plain = replace(plain, delays=count, spacing=delays.every * dt)
             suffix = f", {count} samples {delays.every * dt:g} s apart"
-        lifted: KoopmanModel | None = None
-        contrast: KoopmanModel | None = None
-        problem = ""
-        try:
-            lifted = _learn(loaded, training, delays, most)
-        except InputError as error:
-            problem = str(error)
-        yield _judge(f"lifted{suffix}", plain, lifted, loaded, problem)
-        try:
-            contrast = None if lifted is None else learn_contrast(lifted, loaded, period)
-        except InputError as error:
-            problem = str(error)
-        with_period = replace(plain, contrast=True, period=period)
-        yield _judge(f"contrast{suffix}", with_period, contrast, loaded, problem)
+        learn = partial(_learn, loaded, training, delays, most)
+        lifted = _judge(f"lifted{suffix}", plain, loaded, learn)
+        yield lifted
+        name, with_period = f"contrast{suffix}", replace(plain, contrast=True, period=period)
+        if lifted.model is None:
+            yield lifted._replace(name=name, training=with_period)
+        else:
+            learn = partial(learn_contrast, lifted.model, loaded, period)
+            yield _judge(name, with_period, loaded, learn)
 
 
 def _judge(
-    name: str, training: BagTraining, model: KoopmanModel | None, loaded: Loaded, problem: str
+    name: str, training: BagTraining, loaded: Loaded, learn: Callable[[], KoopmanModel]
 ) -> Cost:
-    if model is None:
-        return Cost(name, training, None, None, problem)
+    try:
+        model = learn()
+    except InputError as error:
+        return Cost(name, training, None, None, str(error))
     return Cost(name, training, model, energies(model, loaded.x, loaded.begins))
 
 

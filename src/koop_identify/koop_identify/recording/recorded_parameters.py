@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +16,9 @@ from koop_bag.bag.reader import BagReader
 from koop_core.config.parameter import ListenersConfig, NodeConfig
 from koop_core.config.parameter_file import ROS_OWN
 from koop_core.errors import InputError
-from koop_loop.parameters import NODES
+from koop_loop.parameters import names_of
 from koopman_lifter.config import SOURCES, shipped_model
-from koopman_lifter.model import KoopmanModel, ModelError, load
+from koopman_lifter.model import ModelError, load
 
 CONTROLLER = ("koopman_lifter", "relay_esc")
 EVENTS = "/parameter_events"
@@ -66,13 +66,8 @@ def recorded_values(
 
 def _loop_parameters(values: Mapping[str, Any]) -> dict[str, Any]:
     """Leave out what belongs to ROS or to the process and says nothing about the controller."""
-    process = {item.name for cls in (ListenersConfig, NodeConfig) for item in fields(cls)}
+    process = names_of((ListenersConfig, NodeConfig))
     return {k: v for k, v in values.items() if k not in process and not k.startswith(ROS_OWN)}
-
-
-def known_parameters(node: str) -> set[str]:
-    """Return the parameters that this version of a node has."""
-    return {item.name for cls in NODES[node] for item in fields(cls)}
 
 
 def recorded_changes(
@@ -228,7 +223,3 @@ class Models:
                 "give the file with --model"
             )
         return self._files[model_id]
-
-    def load(self, model_id: str) -> KoopmanModel:
-        """Return a model."""
-        return load(self.file(model_id))

@@ -16,13 +16,13 @@ from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source, parse_sources
 from koop_core.errors import InputError
 from koop_identify.recording.loop import LoopRecord, Trips, read_loop
-from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
+from koop_identify.recording.recorded_parameters import Models, recorded_values
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, read_signals
 from koop_lab.cli.tables import cost_name, metrics_table, rig_table
 from koop_lab.replay.answers import ReplayedLoop
 from koop_loop.metrics import Metrics, evaluate
-from koop_loop.parameters import NODES, LoopParameters, make
+from koop_loop.parameters import NODES, LoopParameters, make, names_of
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
 from koopman_lifter.config import LifterConfig
@@ -124,7 +124,7 @@ def read(
     guard = values.pop("koop_guard", {})
     commands = _commanded(guard["command"], namespace) if guard else []
     recorded = {
-        node: {k: v for k, v in section.items() if k in known_parameters(node)}
+        node: {k: v for k, v in section.items() if k in names_of(NODES[node])}
         for node, section in values.items()
     }
     parameters = make(recorded) if recorded else None
@@ -134,7 +134,7 @@ def read(
     if used is None and loop.model_id:
         named = str(recorded.get("koopman_lifter", {}).get("model", ""))
         with suppress(InputError):  # it is not at hand
-            used = Models(path, named).load(loop.model_id)
+            used = load(Models(path, named).file(loop.model_id))
     theta_star = parameters.plant.theta_star if parameters and "vdp_plant" in recorded else None
     return RecordedRun(path, loop, loop, parameters, theta_star, used)
 

@@ -10,11 +10,10 @@ from koop_identify.recording.recorded_parameters import (
     CONTROLLER,
     Models,
     ParameterChange,
-    known_parameters,
 )
 from koop_lab.replay.recording import Recording
 from koop_loop import parameters
-from koop_loop.parameters import LoopParameters
+from koop_loop.parameters import NODES, LoopParameters, names_of
 from koopman_lifter.model import load_fitting
 
 Values = dict[str, dict[str, Any]]
@@ -104,7 +103,7 @@ def _usable_values(recording: Recording) -> tuple[list[str], Values]:
     notes: list[str] = []
     usable: Values = {}
     for node in CONTROLLER:
-        names, values = known_parameters(node), recording.values.get(node, {})
+        names, values = names_of(NODES[node]), recording.values.get(node, {})
         usable[node] = {name: value for name, value in values.items() if name in names}
         notes += [
             f"{node}.{name} = {value} was recorded; this version has no such parameter"
@@ -156,7 +155,7 @@ def _differences(
 
 def _without(change: ParameterChange, chosen: Mapping[str, Any]) -> ParameterChange:
     """Leave out of a recorded change what the user has set for the whole replay."""
-    names = known_parameters(change.node) - chosen.keys()
+    names = names_of(NODES[change.node]) - chosen.keys()
     return replace(change, values={k: v for k, v in change.values.items() if k in names})
 
 
