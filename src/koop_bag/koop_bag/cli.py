@@ -46,13 +46,7 @@ def register(commands: Any) -> None:
 
 
 def bag_commands(commands: Any) -> Any:
-    """Return the subparsers of ``koop bag``, for others to add theirs; made at the first call.
-
-    Parameters
-    ----------
-    commands : subparsers
-        Those of ``koop``.
-    """
+    """Return the subparsers of ``koop bag``, for others to add theirs; made at the first call."""
     parser = commands.choices.get("bag")
     if parser is None:
         parser = commands.add_parser("bag")

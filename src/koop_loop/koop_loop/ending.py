@@ -18,17 +18,11 @@ class Ending(Enum):
 
 
 def ending(node: str, exit_code: int, rig: bool) -> Ending:
-    """Return what the end of a node means.
+    """Return what the end of a node means; ``rig`` is the name of the rig's own program.
 
-    Parameters
-    ----------
-    node : str
-        Its name; ``rig`` is the rig's own program.
-    exit_code : int
-        With which it ended; negative: the signal that killed it.
-    rig : bool
-        Whether a real rig is the plant. It keeps its controller when the recording ends, as on a
-        full disk; a simulation that is not recorded is of no use.
+    A negative exit code is the signal that killed it. A real rig, as ``rig`` says, keeps its
+    controller when the recording ends, as on a full disk; a simulation that is not recorded is of
+    no use.
     """
     if node in ("vdp_plant", "rig") and exit_code == 0:
         return Ending.DONE

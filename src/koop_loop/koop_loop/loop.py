@@ -149,16 +149,7 @@ def simulate(
     model: KoopmanModel | None,
     steps: int,
 ) -> LoopResult:
-    """Run a closed loop offline.
-
-    Parameters
-    ----------
-    plant, lifter, esc
-        The configurations that the three nodes would have.
-    model : KoopmanModel or None
-        Needed for the lifted cost only.
-    steps : int
-        Number of control steps.
+    """Run a closed loop offline, for so many control steps; the lifted cost alone needs a model.
 
     Raises
     ------

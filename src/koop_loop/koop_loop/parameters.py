@@ -81,12 +81,7 @@ def names_of(classes: Iterable[type]) -> set[str]:
 def build(
     values: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, tuple[type, ...]] = NODES
 ) -> dict[str, dict[type, Any]]:
-    """Build the configurations of nodes from values by node; other parameters have their defaults.
-
-    Returns
-    -------
-    dict
-        By node and class.
+    """Build configurations, by node and class, from values by node; the rest has its defaults.
 
     Raises
     ------
@@ -141,14 +136,7 @@ def read(
 ) -> dict[str, dict[str, Any]]:
     """Read the values of some nodes from a ROS 2 parameter file; other nodes are ignored.
 
-    Parameters
-    ----------
-    path : path
-        The file.
-    nodes : mapping of str to tuple of type
-        The nodes with their configuration classes.
-    namespace : str, optional
-        Namespace of the loop; by default the one that the file describes.
+    The namespace is by default the one that the file describes.
 
     Raises
     ------

@@ -47,14 +47,7 @@ def performance(
 ) -> Metrics:
     """Return the paper's metrics of a run of our plant, with r* of its own loop.
 
-    Parameters
-    ----------
-    parameters : LoopParameters
-        Parameters of the run.
-    model : KoopmanModel or None
-        Model of the run; needed for the lifted cost only.
-    t, theta, r : ndarray, shape (M,)
-        Time [s], control input and cost.
+    Time [s], control input and cost as :func:`koop_loop.metrics.evaluate` takes them.
     """
     at_optimum = settled(parameters, model, parameters.plant.knob(0, coupling=()).theta_star)
     r_star = float(np.nanmean(at_optimum))

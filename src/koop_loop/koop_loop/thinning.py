@@ -11,18 +11,8 @@ def extremes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return least and largest of every ``block`` samples; an incomplete last block is ignored.
 
-    NaN, as the cost of an unusable state, is ignored, too.
-
-    Parameters
-    ----------
-    values : ndarray, shape (M,)
-        The signal.
-    block : int
-        At least 1.
-
-    Returns
-    -------
-    low, high : ndarray, shape (M // block,)
+    NaN, as the cost of an unusable state, is ignored, too. Of values of shape (M,), both have shape
+    (M // block,).
     """
     blocks = values[: values.size // block * block].reshape(-1, block)
     return np.fmin.reduce(blocks, axis=1), np.fmax.reduce(blocks, axis=1)

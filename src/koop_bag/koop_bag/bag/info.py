@@ -15,25 +15,15 @@ from koop_bag.cdr.definition import has_step
 
 @dataclass
 class TopicInfo:
-    """One topic.
-
-    Attributes
-    ----------
-    name, type_name : str
-        Name and type.
-    count : int
-        Messages.
-    rate : float or None
-        Messages a second between the first and the last; None for fewer than two.
-    steps : StepReport or None
-        Losses by the steps; None for types without a step.
-    """
+    """One topic."""
 
     name: str
     type_name: str
     count: int
     rate: float | None
+    """Messages a second between the first and the last; None for fewer than two."""
     steps: StepReport | None
+    """Losses by the steps; None for types without a step."""
 
 
 @dataclass

@@ -155,18 +155,10 @@ def count_losses(steps: ArrayLike) -> StepReport:
 
 
 def early_ends(last: Mapping[str, int]) -> dict[str, int]:
-    """Return the steps that topics lack at their end, which no gap shows.
+    """Return the steps, by topic, that topics lack at their end, which no gap shows.
 
-    Parameters
-    ----------
-    last : mapping of str to int
-        Last step by topic. Topics of one namespace belong to one loop.
-
-    Returns
-    -------
-    dict of str to int
-        Missing steps by topic, for topics that end more than a step before the loop's last: one
-        step is what a loop may be stopped within.
+    Topics of one namespace belong to one loop. Those that end at most a step before the loop's last
+    are left out: one step is what a loop may be stopped within.
     """
     ends: dict[str, int] = {}
     for topic, step in last.items():

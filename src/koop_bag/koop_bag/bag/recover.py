@@ -25,21 +25,14 @@ from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile
 
 @dataclass
 class Recovery:
-    """Result of a recovery.
-
-    Attributes
-    ----------
-    messages : int
-        Messages in the new bag.
-    damaged_records : int
-        Chunks and other records left out because their checksum, compression or content was wrong.
-    torn_bytes : int
-        Bytes after the last complete record.
-    """
+    """Result of a recovery."""
 
     messages: int = 0
     damaged_records: int = 0
+    """Chunks and other records left out because their checksum, compression or content was wrong.
+    """
     torn_bytes: int = 0
+    """Bytes after the last complete record."""
 
 
 def recover(source: str | Path, target: str | Path) -> Recovery:

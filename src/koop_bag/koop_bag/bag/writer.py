@@ -232,13 +232,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def make_room(self, free: int) -> None:
         """Drop the oldest files of a ring while its disk is nearly full.
 
-        The newest whole file stays; if the one in progress has grown large meanwhile, it becomes
-        that one.
-
-        Parameters
-        ----------
-        free : int
-            Free space of the disk [B].
+        ``free`` [B] is what the disk has. The newest whole file stays; if the one in progress has
+        grown large meanwhile, it becomes that one.
         """
         options = self.options
         if self.closed or not options.is_ring or free >= options.reserve:

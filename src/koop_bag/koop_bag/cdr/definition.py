@@ -34,15 +34,10 @@ _MAX_FIELDS = 20_000  # with the fields of types inside; the largest messages in
 
 
 def parse_definition(type_name: str, text: str) -> Struct:
-    """Return the type of a topic.
+    """Return the type of a topic, `pkg/msg/Type`.
 
-    Parameters
-    ----------
-    type_name : str
-        `pkg/msg/Type`.
-    text : str
-        The root definition, then its dependencies after lines of `=`, each opened by `MSG:
-        pkg/Type`.
+    The text is the root definition, then its dependencies after lines of `=`, each opened by `MSG:
+    pkg/Type`.
     """
     package, _, name = type_name.replace("/msg/", "/").partition("/")
     root, *others = re.split(r"^={80}$\n", text, flags=re.MULTILINE)

@@ -33,16 +33,10 @@ def at_every_byte(buffer: Bytes, dtype: "np.dtype[Any]") -> NDArray[Any]:
 def decode(
     buffer: Bytes, starts: Offsets, sizes: Offsets, find: Callable[[bytes], Layout]
 ) -> dict[str, NDArray[Any]]:
-    """Columns of messages that lie in a buffer.
+    """Columns of messages that lie in a buffer, of layouts that ``find`` finds.
 
-    Parameters
-    ----------
-    buffer : ndarray of uint8
-        Holds the messages.
-    starts, sizes : ndarray of int64, shape (n,)
-        Where each begins, encapsulation included, and its length [B].
-    find : callable
-        Finds the layout of a message.
+    ``starts`` and ``sizes``, shape (n,), say where each begins, encapsulation included, and its
+    length [B].
     """
     if (sizes < ENCAPSULATION).any():
         raise BagError("a message is cut short: not even the mark of its encoding is there")

@@ -80,12 +80,7 @@ class _Wanted:
 class LayoutFinder:
     """Finds layouts for one message type and a choice of fields.
 
-    Parameters
-    ----------
-    root : Struct
-        Message type.
-    fields : sequence of str
-        `step`, `header.stamp`, `x`, `position[0]`, `status[0].name`, ...
+    They are such as `step`, `header.stamp`, `x`, `position[0]`, `status[0].name`.
     """
 
     def __init__(self, root: Struct, fields: tuple[str, ...]) -> None:

@@ -43,12 +43,7 @@ class MessageSchema:
 
 
 def load_schema(type_name: str) -> MessageSchema:
-    """Find the definition of a message type under AMENT_PREFIX_PATH or the Python environment.
-
-    Parameters
-    ----------
-    type_name : str
-        `pkg/msg/Type`, or `pkg/Type` for short.
+    """Find the definition of `pkg/msg/Type` under AMENT_PREFIX_PATH or the Python environment.
 
     Raises
     ------
@@ -68,13 +63,7 @@ def load_schema(type_name: str) -> MessageSchema:
 
 
 def load_service(type_name: str) -> tuple[str, str]:
-    """Find the definitions of a service type's request and response; as :func:`load_schema`.
-
-    Parameters
-    ----------
-    type_name : str
-        `pkg/srv/Type`.
-    """
+    """Find the definitions of request and response of `pkg/srv/Type`; as :func:`load_schema`."""
     package, _, name = type_name.partition("/srv/")
     if not name:
         raise BagError(f"'{type_name}' is not a service type: write it as pkg/srv/Type")

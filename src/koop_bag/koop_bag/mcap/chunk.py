@@ -134,16 +134,10 @@ def encode(record: McapRecord) -> bytes:
 
 
 class ChunkBuffer:
-    """The chunk in progress.
+    """The chunk in progress, to be compressed by `zstd`, or `none`.
 
-    Parameters
-    ----------
-    compression : str
-        `zstd` or `none`.
-    max_bytes : int
-        The chunk is full when its records take this much [B] ...
-    max_age : int
-        ... or when a message is logged this long after the first one [ns].
+    It is full when its records take ``max_bytes``, or when a message is logged ``max_age`` [ns]
+    after the first one.
     """
 
     def __init__(self, compression: str, max_bytes: int, max_age: int) -> None:

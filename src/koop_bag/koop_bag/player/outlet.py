@@ -30,13 +30,6 @@ STUCK = 2.0
 class Outlet:
     """One topic being played.
 
-    Parameters
-    ----------
-    entities : Entities
-        Owner of the publisher.
-    topic : BagTopic
-        What it publishes.
-
     Raises
     ------
     koop_core.errors.KoopError

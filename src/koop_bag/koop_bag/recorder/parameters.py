@@ -23,14 +23,8 @@ class ParameterCollector:
     recording is.
 
     Later changes need no asking: they are recorded from /parameter_events. There a node also
-    announces its parameters before it begins, for a short run may end before it has answered.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The asking node; its own parameters are included.
-    namespace : str
-        Nodes below it are asked.
+    announces its parameters before it begins, for a short run may end before it has answered. The
+    asking node's own are included.
     """
 
     def __init__(self, node: Node, namespace: str) -> None:

@@ -31,19 +31,11 @@ _NO_LIMIT = 9223372036  # [s] DDS's 'no limit'
 
 
 class RecordedTopic:
-    """One topic being recorded.
+    """One topic being recorded, of a full name and a type; ``queue`` messages may wait.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owner of the subscription; its executor must not get to see it.
-    name, type_name : str
-        Full name and type of the topic.
-    queue : int
-        Messages that may wait.
-    announce : callable
-        Gives the topic a channel of the bag when its first message has come. Not before: only then
-        it is known which QoS its publishers offer.
+    The executor of the node that owns the subscription must not get to see it. ``announce`` gives
+    the topic a channel of the bag when its first message has come. Not before: only then it is
+    known which QoS its publishers offer.
     """
 
     def __init__(

@@ -34,15 +34,9 @@ def to_json(value: Any) -> Any:
 def parse(kind: type[T], content: Any, where: str) -> T:
     """Return the object of a class that the content of a file describes.
 
-    Parameters
-    ----------
-    kind : type
-        A dataclass or named tuple with annotated fields: numbers, strings, members of an Enum,
-        mappings, lists, tuples and arrays of them, or others of its sort.
-    content : object
-        Content of the file.
-    where : str
-        Begin of an error message.
+    The class is a dataclass or named tuple with annotated fields: numbers, strings, members of an
+    Enum, mappings, lists, tuples and arrays of them, or others of its sort. ``where`` begins an
+    error message.
 
     Raises
     ------

@@ -25,27 +25,16 @@ BLOCK = 65536  # samples in a row
 
 
 class Cost(NamedTuple):
-    """A candidate cost on a recording.
-
-    Attributes
-    ----------
-    name : str
-        In words.
-    training : BagTraining or None
-        With which its model is learned; None where the cost needs none.
-    model : KoopmanModel or None
-        Learned from the recording.
-    y_out : ndarray, shape (M,), or None
-        Energies; None if the cost cannot be made.
-    problem : str
-        Why it cannot be made.
-    """
+    """A candidate cost on a recording; where none can be made, without model and energies."""
 
     name: str
     training: BagTraining | None
+    """With which its model is learned; None where the cost needs none."""
     model: KoopmanModel | None
     y_out: NDArray[np.float64] | None
+    """Energies, shape (M,)."""
     problem: str = ""
+    """Why it cannot be made."""
 
 
 def costs(

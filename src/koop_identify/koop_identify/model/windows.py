@@ -160,30 +160,12 @@ def cut_windows(
 
 
 def training_windows(
-    loaded: Loaded,
-    delays: Delays,
-    dt: float,
-    period: float,
+    loaded: Loaded, delays: Delays, dt: float, period: float
 ) -> tuple[NDArray[np.int64], int]:
     """Cut a recording into windows for the contrast, as long as data allow.
 
-    Parameters
-    ----------
-    loaded : Loaded
-        The recording.
-    delays : Delays
-        A window is longer than they span.
-    dt : float
-        Time between two states [s].
-    period : float
-        Period of the oscillation [s], see :func:`period_of`.
-
-    Returns
-    -------
-    starts : ndarray of int, shape (T,)
-        First state of each window.
-    length : int
-        States of a window.
+    They are longer than the delays span, and returned as by :func:`settled_windows`; ``dt`` [s] is
+    the time between two states, ``period`` [s] the oscillation's, see :func:`period_of`.
 
     Raises
     ------

@@ -42,16 +42,9 @@ def recount(
 ) -> Iterator[Batch]:
     """Yield consecutive batches with counted times in place of times of reception.
 
-    Parameters
-    ----------
-    batches : iterable of Batch
-        As recorded.
-    period : float
-        Mean period P of the stream [ns].
-    spacing : float
-        Time [ns] from one sample to the next in the result, missing ones included.
-    least, most : int
-        Samples that are looked at around a long wait.
+    The stream has a mean period P [ns]; in the result one sample follows the other, missing ones
+    included, after ``spacing`` [ns]. So many samples, at least and at most, are looked at around a
+    long wait.
     """
     waiting: deque[Batch] = deque()
     times: NDArray[np.int64] = np.empty(0, np.int64)  # of all that is looked at

@@ -21,12 +21,7 @@ MAX_STEP = 2**40  # 170 years at 200 Hz; leaves room for the number of the pass 
 
 
 class Messages:
-    """The messages of a topic.
-
-    Parameters
-    ----------
-    columns : Columns or None
-        Their fields, ``step`` among them; None if there is no message.
+    """The messages of a topic, from their fields, ``step`` among them; None if there is none.
 
     Attributes
     ----------

@@ -26,22 +26,14 @@ EVENTS = "/parameter_events"
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """Parameters of one node that were set while recording.
-
-    Attributes
-    ----------
-    index : int
-        Row of the first state that was answered with them.
-    node : str
-        Name of the node.
-    values : dict
-        The new values; an equal one counts too, for setting `cost` or `model` restarts the
-        detector.
-    """
+    """Parameters of one node that were set while recording."""
 
     index: int
+    """Row of the first state that was answered with them."""
     node: str
     values: dict[str, Any]
+    """The new ones; an equal one counts too, for setting `cost` or `model` restarts the detector.
+    """
 
 
 def recorded_values(
@@ -191,12 +183,8 @@ def _value(value: Any) -> Any:
 class Models:
     """The model files at hand, by the id that recordings refer to them by.
 
-    Parameters
-    ----------
-    path : Path
-        The bag or the run's folder; its `model/` is searched first.
-    candidates : str
-        Files that the recorded parameters name.
+    The folder `model/` of the bag or the run is searched first, then the candidates: files that the
+    recorded parameters name.
     """
 
     def __init__(self, path: Path, *candidates: str) -> None:

@@ -79,16 +79,7 @@ class Signals:
 
 
 def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Signals:
-    """Read the signals of a bag.
-
-    Parameters
-    ----------
-    path : Path
-        Folder of a run or of a bag, or an `.mcap` file.
-    reading : BagReading
-        What is measured and commanded.
-    dt : float, optional
-        Time between two states where the reading does not say it, as of a model [s].
+    """Read the signals of a bag; ``dt`` [s], as of a model, counts where the reading has none.
 
     Raises
     ------
