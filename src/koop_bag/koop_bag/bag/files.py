@@ -1,7 +1,6 @@
 """Which files a bag is made of."""
 
 import re
-from contextlib import nullcontext
 from pathlib import Path
 
 from koop_bag.errors import BagError, compressed
@@ -16,26 +15,22 @@ def find_files(path: Path) -> list[Path]:
     BagError
         If there is none, with what there is instead.
     """
-    with nullcontext() if isinstance(path, Path) else reading(path):
-        return _files_of(path)
-
-
-def _files_of(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path]
-    if not path.exists():
-        raise BagError(f"there is no bag {path}")
-    for folder in (path, path / "bag"):
-        for other in folder.glob("*.mcap.*"):
-            if not other.with_suffix("").exists():
-                raise compressed(other)
-        if files := sorted(folder.glob("*.mcap"), key=_number):
-            return files
-        if any(folder.glob("*.db3*")):
-            raise BagError(
-                f"{folder} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"
-            )
-    raise BagError(f"{path} is not a bag: it contains no .mcap file")
+    with reading(path):
+        if path.is_file():
+            return [path]
+        if not path.exists():
+            raise BagError(f"there is no bag {path}")
+        for folder in (path, path / "bag"):
+            for other in folder.glob("*.mcap.*"):
+                if not other.with_suffix("").exists():
+                    raise compressed(other)
+            if files := sorted(folder.glob("*.mcap"), key=_number):
+                return files
+            if any(folder.glob("*.db3*")):
+                raise BagError(
+                    f"{folder} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"
+                )
+        raise BagError(f"{path} is not a bag: it contains no .mcap file")
 
 
 def _number(path: Path) -> tuple[int, str]:

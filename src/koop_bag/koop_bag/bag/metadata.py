@@ -2,18 +2,20 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
+from mcap.records import Channel, Schema
 
 from koop_bag.errors import BagError, compressed
+from koop_bag.mcap.file_writer import FileRecord
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _LONG = 2**31 - 1  # [s] what Foxy wrote for 'no limit'; nobody waits that long
 
-_WORDS = {
+POLICIES = {
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
     "reliability": ("system_default", "reliable", "best_effort", "unknown"),
     "durability": ("system_default", "transient_local", "volatile", "unknown"),
@@ -22,7 +24,7 @@ _WORDS = {
 """The policies by the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h)."""
 
 
-_SPANS = ("deadline", "lifespan", "liveliness_lease_duration")
+SPANS = ("deadline", "lifespan", "liveliness_lease_duration")
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,11 @@ class OfferedQos:
     def from_map(cls, values: Mapping[str, Any]) -> "OfferedQos":
         """Return the inverse of `as_map`; what is absent takes its default."""
         policies: dict[str, Any] = {"depth": int(values.get("depth", 0))}
-        for name, words in _WORDS.items():
+        for name, words in POLICIES.items():
             if name in values:
                 word = values[name]
                 policies[name] = words[word] if isinstance(word, int) else str(word)
-        for name in _SPANS:
+        for name in SPANS:
             span = values.get(name) or _FOREVER
             policies[name] = None if span["sec"] >= _LONG else (span["sec"], span["nsec"])
         return cls(**policies)
@@ -57,56 +59,18 @@ class OfferedQos:
     def as_map(self) -> dict[str, Any]:
         """All keys that rosbag2 demands, in its order."""
         values = asdict(self)
-        for name in _SPANS:
+        for name in SPANS:
             span = values[name]
             values[name] = {"sec": span[0], "nsec": span[1]} if span else dict(_FOREVER)
         return {**values, "avoid_ros_namespace_conventions": False}
 
 
-@dataclass(frozen=True)
-class TopicRecord:
-    """One recorded topic."""
+class TopicRecord(NamedTuple):
+    """One recorded topic, with the QoS of its publishers."""
 
-    name: str
-    type_name: str
-    type_hash: str
-    encoding: str = "cdr"
-    qos: tuple[OfferedQos, ...] = (OfferedQos(),)
-
-
-@dataclass
-class FileRecord:
-    """One file of a bag; times in ns since the epoch, `start` > `end` while it is empty."""
-
-    path: str
-    start: int = 2**63 - 1
-    end: int = 0
-    counts: Counter[str] = field(default_factory=Counter)
-    """Messages by topic."""
-    size: int = 0
-    """Bytes, once it is closed."""
-    of_alarm: bool = False
-    """Whether it is kept for good."""
-
-    @property
-    def count(self) -> int:
-        """Messages in it."""
-        return self.counts.total()
-
-    def cover(self, start: int, end: int, counts: Mapping[str, int]) -> None:
-        """Take in messages between two times, so many of each topic."""
-        self.start = min(self.start, start)
-        self.end = max(self.end, end)
-        self.counts.update(counts)
-
-    def as_map(self) -> dict[str, Any]:
-        """Return the entry under `files`."""
-        return {
-            "path": self.path,
-            "starting_time": {"nanoseconds_since_epoch": self.start},
-            "duration": {"nanoseconds": max(0, self.end - self.start)},
-            "message_count": self.count,
-        }
+    schema: Schema
+    channel: Channel
+    qos: tuple[OfferedQos, ...]
 
 
 def bag_map(
@@ -117,7 +81,7 @@ def bag_map(
 ) -> dict[str, Any]:
     """Return the inner map of `metadata.yaml` (version 9, ROS 2 Jazzy)."""
     filled = [item for item in files if item.count]
-    counts = sum((item.counts for item in filled), Counter[str]())
+    counts = sum((item.counts for item in filled), Counter[int]())
     start = min((item.start for item in filled), default=2**63 - 1)
     end = max((item.end for item in filled), default=0)
     return {
@@ -129,20 +93,28 @@ def bag_map(
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.type_name,
-                    "serialization_format": topic.encoding,
-                    "offered_qos_profiles": [item.as_map() for item in topic.qos],
-                    "type_description_hash": topic.type_hash,
+                    "name": channel.topic,
+                    "type": schema.name,
+                    "serialization_format": channel.message_encoding,
+                    "offered_qos_profiles": [item.as_map() for item in qos],
+                    "type_description_hash": channel.metadata["topic_type_hash"],
                 },
-                "message_count": counts[topic.name],
+                "message_count": counts[channel.id],
             }
-            for topic in topics
+            for schema, channel, qos in topics
         ],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [item.path for item in files],
-        "files": [item.as_map() for item in files],
+        "files": [
+            {
+                "path": item.path,
+                "starting_time": {"nanoseconds_since_epoch": item.start},
+                "duration": {"nanoseconds": max(0, item.end - item.start)},
+                "message_count": item.count,
+            }
+            for item in files
+        ],
         "custom_data": dict(custom),
         "ros_distro": ros_distro,
     }

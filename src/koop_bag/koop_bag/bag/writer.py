@@ -9,11 +9,11 @@ from typing import TypeVar
 
 from mcap.records import Channel, Schema
 
-from koop_bag.bag.metadata import FileRecord, OfferedQos, TopicRecord, bag_map, dump
+from koop_bag.bag.metadata import OfferedQos, TopicRecord, bag_map, dump
 from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError
 from koop_bag.mcap.chunk import Batch, ChunkBuffer, Row, batch_of
-from koop_bag.mcap.file_writer import McapFileWriter
+from koop_bag.mcap.file_writer import FileRecord, McapFileWriter
 from koop_core import whole_file
 from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import LiveError
@@ -111,7 +111,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.custom_data: dict[str, str] = {}
         self.topics: list[TopicRecord] = []
         self._ros_distro = ros_distro or os.environ.get("ROS_DISTRO", "jazzy")
-        self._channels: list[tuple[Schema, Channel]] = []
         self._files: list[FileRecord] = []
         self._opened = 0
         self._is_alarm_file = False
@@ -136,7 +135,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     @property
     def bytes_written(self) -> int:
         """Bytes on the disk, without dropped files."""
-        return self._file.size + _bytes_of(self._files + self._alarms)
+        return _bytes_of(self._files + self._alarms)
 
     @property
     def message_count(self) -> int:
@@ -157,28 +156,28 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     ) -> int:
         """Announce a topic; returns the channel that its messages are written to."""
         self._check_open()
-        if any(topic.name == name for topic in self.topics):
+        if any(topic.channel.topic == name for topic in self.topics):
             raise BagError(f"topic {name} is already in the bag")
-        topic = TopicRecord(name, schema.name, schema.type_hash, encoding, tuple(qos))
-        schema_record = next((s for s, _ in self._channels if s.name == schema.name), None)
-        number = len({s.id for s, _ in self._channels}) + 1
-        entry = schema_record or Schema(
-            id=number, data=schema.text.encode(), encoding=schema.encoding, name=schema.name
+        schemas = {topic.schema.name: topic.schema for topic in self.topics}
+        entry = schemas.get(schema.name) or Schema(
+            id=len(schemas) + 1,
+            data=schema.text.encode(),
+            encoding=schema.encoding,
+            name=schema.name,
         )
         channel = Channel(
-            id=len(self._channels) + 1,
+            id=len(self.topics) + 1,
             topic=name,
             message_encoding=encoding,
             metadata={
-                "offered_qos_profiles": dump([item.as_map() for item in topic.qos]),
+                "offered_qos_profiles": dump([item.as_map() for item in qos]),
                 "topic_type_hash": schema.type_hash,
             },
             schema_id=entry.id,
         )
         self._guarded(lambda: self._file.add_channel(entry, channel))
-        self.topics.append(topic)
-        self._channels.append((entry, channel))
-        return len(self._channels)
+        self.topics.append(TopicRecord(entry, channel, tuple(qos)))
+        return channel.id
 
     def write(
         self,
@@ -239,7 +238,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if self.closed or not options.is_ring or free >= options.reserve:
             return
         self.flush()
-        if self._file.size >= 16 * options.chunk_bytes:
+        if self._file.record.size >= 16 * options.chunk_bytes:
             self._guarded(self._next_file)
         dropped = False
         while free < options.reserve and len(self._files) > 2:
@@ -270,26 +269,22 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _open_file(self) -> None:
         self._file = McapFileWriter(self.folder / f"{self.folder.name}_{self._opened}.mcap")
         self._opened += 1
-        self._files.append(FileRecord(self._file.path.name, of_alarm=self._is_alarm_file))
-        self._is_alarm_file = False
-        for schema, channel in self._channels:
+        self._files.append(self._file.record)
+        self._file.record.of_alarm, self._is_alarm_file = self._is_alarm_file, False
+        for schema, channel, _ in self.topics:
             self._file.add_channel(schema, channel)
         self._describe()
 
     def _write_chunk(self) -> None:
-        chunk, file = self._chunk, self._file
-        self._guarded(lambda: file.add_chunk(chunk))
-        counts = {self.topics[c - 1].name: count for c, count in chunk.counts().items()}
-        record, options = self._files[-1], self.options
-        record.cover(file.last_start, file.last_end, counts)
+        chunk, record, options = self._chunk, self._file.record, self.options
+        self._guarded(lambda: self._file.add_chunk(chunk))
         chunk.clear()
-        too_large = 0 < options.file_bytes <= file.size
+        too_large = 0 < options.file_bytes <= record.size
         if too_large or 0 < options.file_time <= record.end - record.start:
             self._guarded(self._next_file)
 
     def _next_file(self) -> None:
         self._finish_file()
-        self._files[-1].size = self._file.size
         self._chunk.not_before = self._files[-1].end
         while len(self._files) > 1 and self._is_too_much():
             self._drop_oldest()

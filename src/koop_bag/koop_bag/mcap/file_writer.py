@@ -2,8 +2,10 @@
 
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -29,6 +31,27 @@ from koop_core.whole_file import FULL
 _BLOCK = 1 << 16  # [B] of records that are packed together
 
 
+@dataclass
+class FileRecord:
+    """What a file holds; times in ns since the epoch, `start` > `end` while it is empty."""
+
+    path: str
+    """Its name."""
+    start: int = 2**63 - 1
+    end: int = 0
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages by channel."""
+    size: int = 0
+    """Bytes."""
+    of_alarm: bool = False
+    """Whether it is kept for good."""
+
+    @property
+    def count(self) -> int:
+        """Messages in it."""
+        return self.counts.total()
+
+
 class McapFileWriter:
     """Appends whole records to a file; what it has accepted survives the end of the process.
 
@@ -38,15 +61,11 @@ class McapFileWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.size = 0
+        self.record = FileRecord(path.name)
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunks = _Packed()
         self._metadata: list[bytes] = []
-        self._counts: dict[int, int] = {}
-        self._start, self._end = 2**63 - 1, 0
-        self.last_start = self.last_end = 0
-        """Log times that the last chunk covers [ns]."""
         try:
             self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - open as long as the bag
         except OSError as error:
@@ -63,23 +82,21 @@ class McapFileWriter:
         if new_schema:
             self._schemas.append(schema)
         self._channels.append(channel)
-        self._counts[channel.id] = 0
 
     def add_chunk(self, chunk: ChunkBuffer) -> None:
         """Write a chunk with its message indexes."""
-        data, index = chunk.encode(self.size)
+        record = self.record
+        data, index = chunk.encode(record.size)
         self._append(data)
         self._chunks.append(encode(index))
-        for channel, count in chunk.counts().items():
-            self._counts[channel] += count
-        self.last_start, self.last_end = index.message_start_time, index.message_end_time
-        self._start = min(self._start, self.last_start)
-        self._end = max(self._end, self.last_end)
+        record.counts.update(chunk.counts())
+        record.start = min(record.start, index.message_start_time)
+        record.end = max(record.end, index.message_end_time)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record."""
         data = encode(Metadata(name=name, metadata=dict(values)))
-        offset = self.size
+        offset = self.record.size
         self._append(data)
         self._metadata.append(encode(MetadataIndex(offset=offset, length=len(data), name=name)))
 
@@ -96,7 +113,7 @@ class McapFileWriter:
 
     def _closing_records(self) -> bytes:
         out = bytearray(encode(DataEnd(data_section_crc=0)))
-        summary_start = self.size + len(out)
+        summary_start = self.record.size + len(out)
         summary = bytearray()
         offsets: list[McapRecord] = []
 
@@ -126,15 +143,15 @@ class McapFileWriter:
         return bytes(out + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
-        count = sum(self._counts.values())
+        record = self.record
         return Statistics(
             attachment_count=0,
             channel_count=len(self._channels),
-            channel_message_counts={channel: n for channel, n in self._counts.items() if n},
+            channel_message_counts=dict(sorted(record.counts.items())),
             chunk_count=self._chunks.count,
-            message_count=count,
-            message_end_time=self._end,
-            message_start_time=self._start if count else 0,
+            message_count=record.count,
+            message_end_time=record.end,
+            message_start_time=record.start if record.count else 0,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
@@ -147,16 +164,16 @@ class McapFileWriter:
                 done += self._file.write(view[done:])
         except OSError as error:
             with suppress(OSError):  # if the device is gone, so is the chance to tidy up
-                self._file.truncate(self.size)
-                self._file.seek(self.size)
-            where = f"{self.path} ({self.size} bytes are safe)"
+                self._file.truncate(self.record.size)
+                self._file.seek(self.record.size)
+            where = f"{self.path} ({self.record.size} bytes are safe)"
             if error.errno in FULL:
                 raise BagWriteError(
                     f"no space left for {where}: free some on the disk of {self.path.parent} "
                     f"({error.strerror}) or record to another one"
                 ) from error
             raise BagWriteError(f"cannot write {where}: {error.strerror}") from error
-        self.size += done
+        self.record.size += done
 
 
 def _library() -> str:

@@ -65,6 +65,8 @@ def reading(place: object) -> Iterator[None]:
     except ImportError as error:
         raise BagError(f"cannot read {place}: {error} (pip install ...)") from None
     except Exception as error:
+        if isinstance(place, Path):  # on the disk
+            raise
         text = " ".join(str(error).split()) or type(error).__name__
         raise BagError(f"cannot read {place}: {text}") from error
 

@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from koop_bag.bag.losses import LOSSES, LossCounter
-from koop_bag.bag.metadata import OfferedQos
+from koop_bag.bag.metadata import POLICIES, SPANS, OfferedQos
 from koop_bag.cdr.definition import has_step
 from koop_bag.cdr.schema import MessageSchema, load_schema
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
@@ -207,17 +207,10 @@ def offered_qos(profile: QoSProfile) -> OfferedQos:
         limited = duration.nanoseconds > 0 and seconds < _NO_LIMIT
         return (seconds, nanoseconds) if limited else None
 
-    return OfferedQos(
-        reliability=word(profile.reliability),
-        durability=word(profile.durability),
-        # discovery has neither of these two: they are 'unknown' and 0
-        history=word(profile.history),
-        depth=profile.depth,
-        liveliness=word(profile.liveliness),
-        deadline=span(profile.deadline),
-        lifespan=span(profile.lifespan),
-        liveliness_lease_duration=span(profile.liveliness_lease_duration),
-    )
+    # discovery has neither history nor depth: they are 'unknown' and 0
+    policies: dict[str, Any] = {name: word(getattr(profile, name)) for name in POLICIES}
+    policies |= {name: span(getattr(profile, name)) for name in SPANS}
+    return OfferedQos(depth=profile.depth, **policies)
 
 
 def polled(message: bytes) -> None:
