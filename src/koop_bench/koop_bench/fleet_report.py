@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from operator import sub
 from typing import NamedTuple
 
 from koop_core.stream.durations import Durations, read
@@ -26,14 +27,7 @@ class Counts(NamedTuple):
 
     def since(self, before: Counts) -> Counts:
         """Return the counts from an earlier report on."""
-        return Counts(
-            self.time - before.time,
-            self.steps - before.steps,
-            self.late - before.late,
-            self.lost - before.lost,
-            self.trips - before.trips,
-            self.behind - before.behind,
-        )
+        return Counts(*map(sub, self, before))
 
     @property
     def rate(self) -> float:

@@ -100,20 +100,9 @@ def unit_folder(system: bool) -> Path:
 def describe_unit(
     name: str, file: Path, options: Sequence[str], planned: Plan, system: bool
 ) -> str:
-    """Return the text of a unit.
+    """Return the text of the unit that calls ``koop up`` with a file, or folder, and options.
 
-    Parameters
-    ----------
-    name : str
-        Name of the unit.
-    file : Path
-        Folder or parameter file, as given to ``koop up``.
-    options : sequence of str
-        Of ``koop up``.
-    planned : Plan
-        What is started.
-    system : bool
-        Whether it is the machine's, run as the owner of the file, or its user's.
+    With ``system`` it is the machine's, run as the owner of the file, else its user's.
 
     Raises
     ------

@@ -92,12 +92,7 @@ def _is_address(name: str) -> bool:
 def page_headers(page: bytes, host: str) -> list[tuple[str, str]]:
     """Return the headers of the page: it runs only its own script and connects to its own server.
 
-    Parameters
-    ----------
-    page : bytes
-        The HTML file, script and style inline.
-    host : str
-        The server, as the browser calls it.
+    ``host`` is that server as the browser calls it.
     """
     policy = {
         "default-src": "'none'",

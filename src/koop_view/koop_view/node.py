@@ -39,13 +39,7 @@ class ViewNode(WithoutEvents):
 
 
 def run(config: ViewConfig) -> int:
-    """Serve the loops of the domain until the process is told to stop.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a clean end, 2 if the server could not start.
-    """
+    """Serve the loops of the domain until told to stop; return the exit code."""
     end_with_parent()
     set_dds_profile(udp=True)
     os.nice(NICE)

@@ -32,17 +32,7 @@ _silent.setLevel(logging.CRITICAL + 1)
 
 
 class ViewServer:
-    """Serves a source.
-
-    Parameters
-    ----------
-    source : ViewSource
-        What is shown.
-    config : ViewConfig
-        Where and to whom.
-    token : str
-        Token that permits to operate; empty: nobody may.
-    """
+    """Serves a source; without a token nobody may operate it."""
 
     def __init__(self, source: ViewSource, config: ViewConfig, token: str) -> None:
         self._source = source

@@ -38,16 +38,9 @@ async def serve(
     config: ViewConfig,
     update: Callable[[], Coroutine[Any, Any, Any]] | None = None,
 ) -> None:
-    """Serve a source until SIGINT, SIGTERM or SIGHUP.
+    """Serve a source until SIGINT, SIGTERM or SIGHUP; ``update`` keeps it up to date meanwhile.
 
-    Parameters
-    ----------
-    source : ViewSource
-        What is shown.
-    config : ViewConfig
-        Where and to whom.
-    update : coroutine function, optional
-        Keeps the source up to date; its failure ends the server.
+    The failure of the update ends the server.
     """
     try:
         from koop_view.server import ViewServer

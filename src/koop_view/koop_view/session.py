@@ -111,17 +111,7 @@ class ViewSource:
 
 
 class ClientSession:
-    """A client.
-
-    Parameters
-    ----------
-    connection : websockets.asyncio.connection.Connection
-        Connection to the client.
-    source : ViewSource
-        What is shown.
-    operates : bool
-        Whether the client may operate.
-    """
+    """A client, and whether it may operate."""
 
     def __init__(self, connection: Connection, source: ViewSource, operates: bool) -> None:
         self.operates = operates

@@ -65,12 +65,10 @@ def describe_loop(
 
     Parameters
     ----------
-    progress, faults
-        As in :func:`judge_health`.
+    faults
+        Of :func:`judge_health`.
     values : mapping
         Parameters by node.
-    folder : Path
-        Folder of the run.
     recorded : bool
         Whether its recorder runs.
     running : float

@@ -36,13 +36,7 @@ SET = OF | {"koopman_lifter": OF["koopman_lifter"] | {"model"}}
 
 
 class Memory:
-    """The file of one loop, beside the guard's note; without a guard there is none.
-
-    Parameters
-    ----------
-    planned : Plan
-        The loop.
-    """
+    """The file of one loop, beside the guard's note; without a guard there is none."""
 
     def __init__(self, planned: Plan) -> None:
         note = planned.parameters.get("koop_guard", {}).get("note")

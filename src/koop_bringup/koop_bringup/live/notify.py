@@ -29,17 +29,7 @@ class ServiceManager:
         return bool(self._address)
 
     def report(self, progress: Progress, nodes: Collection[str], status: str) -> None:
-        """Give a sign of life, if there is one.
-
-        Parameters
-        ----------
-        progress : Progress
-            What the nodes report.
-        nodes : collection of str
-            Those that are to report.
-        status : str
-            Status of the loop, in a line.
-        """
+        """Give a sign of life, if there is one; ``nodes`` are those that are to report."""
         heard = {node: progress.heard[node] for node in nodes if node in progress.heard}
         if len(heard) < len(nodes) or any(self._heard.get(n) == when for n, when in heard.items()):
             return

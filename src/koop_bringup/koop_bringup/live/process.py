@@ -54,16 +54,7 @@ def uninterrupted() -> Iterator[None]:
 class TiedProcess(subprocess.Popen[bytes]):
     """A process that ends with this one, however this one ends.
 
-    See :mod:`koop_node.process.lifeline`.
-
-    Parameters
-    ----------
-    command : list of str
-        Runs a program that calls ``end_with_parent``, as every node does.
-    environment : mapping of str to str, optional
-        Environment in place of this process's own.
-    options
-        Of :class:`subprocess.Popen`.
+    Its program calls ``end_with_parent``, as every node does: :mod:`koop_node.process.lifeline`.
     """
 
     def __init__(

@@ -109,16 +109,7 @@ def compare(
     recorded: NDArray[np.float64],
     replayed: NDArray[np.float64],
 ) -> tuple[int, str]:
-    """Compare a signal bit by bit; two values that are not a number are equal.
-
-    Parameters
-    ----------
-    name : str
-        The signal.
-    step : ndarray of int64, shape (M,)
-        Steps of the recorded values.
-    recorded, replayed : ndarray, shape (M,)
-        Values.
+    """Compare a signal, of shape (M,), bit by bit; two values that are not a number are equal.
 
     Returns
     -------

@@ -144,13 +144,7 @@ def read_options(args: argparse.Namespace) -> tuple[Plan, Path]:
 
 
 class StatusLine:
-    """Prints where the run is: when a node's level changes, and every now and then.
-
-    Parameters
-    ----------
-    nodes : sequence of str
-        Nodes that report.
-    """
+    """Prints where the run is: when a node's level changes, and every now and then."""
 
     def __init__(self, nodes: Sequence[str]) -> None:
         self._nodes = nodes

@@ -100,13 +100,7 @@ def replay_kernel(
 
 
 class ReplayedLoop:
-    """Lifter and controller on their kernels, from one segment of states to the next.
-
-    Parameters
-    ----------
-    esc : EscConfig
-        Settings of the controller when it starts.
-    """
+    """Lifter and controller on their kernels, from one segment of states to the next."""
 
     def __init__(self, esc: EscConfig) -> None:
         begin = esc.initial() if esc.count == 1 else esc.initial_directions()
@@ -130,25 +124,9 @@ class ReplayedLoop:
         hold: NDArray[np.bool_],
         margin: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Answer states with the same parameters.
+        """Return r and theta, shape (M,), that answer states with the same parameters.
 
-        Parameters
-        ----------
-        lifter, esc, model
-            Settings of lifter and controller, and the model.
-        step : ndarray of int64, shape (M,)
-            Step of each state.
-        x : ndarray, shape (M, n)
-            Measured states.
-        hold : ndarray of bool, shape (M,)
-            Whether the user holds theta.
-        margin : ndarray, shape (M,)
-            Of the constraint; NaN where it is not known.
-
-        Returns
-        -------
-        r, theta : ndarray, shape (M,)
-            What lifter and controller answer.
+        The states are those of :func:`replay_kernel`.
         """
         made = controller(lifter, esc, model)
         if self._work is None:
@@ -176,13 +154,7 @@ class ReplayedLoop:
 def replay(
     recording: Recording, plan: ReplayPlan
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Replay a recording.
-
-    Returns
-    -------
-    r, theta : ndarray, shape (M,)
-        What lifter and controller answer.
-    """
+    """Return r and theta, shape (M,), that lifter and controller answer to a recording."""
     loop = ReplayedLoop(plan.segments[0].parameters.esc)
     answers = []
     x: NDArray[np.float64] | None = None

@@ -59,13 +59,7 @@ def unpack(service: AdvertisedService, payload: bytes) -> Any:
 
 
 class ServiceCaller:
-    """Calls services from an event loop in which the node's executor is polled.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owner of the clients.
-    """
+    """Calls services from an event loop in which the node's executor is polled."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

@@ -42,17 +42,7 @@ DIAGNOSTICS, CHANGES = "/diagnostics", "/parameter_events"
 
 
 class LiveSource(ViewSource):
-    """The loops of a ROS domain.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The server's node.
-    executor : object
-        Executor of the node; it is polled here.
-    config : ViewConfig
-        Whether anybody may operate, and the file of the line beside the loops.
-    """
+    """The loops of a ROS domain, heard by a node whose executor is polled here."""
 
     mode = "live"
 

@@ -160,15 +160,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence whose every number is a cell of the cited table.
-
-    Attributes
-    ----------
-    text : str
-        The sentence.
-    table : str
-        Name of the table that carries it.
-    """
+    """A sentence whose every number is a cell of the table that is named."""
 
     text: str
     table: str
