@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_bench.offline import SOURCE, STEPS, TimedLoop, c_run, compile_c, kernel_run
+from koop_bench.offline import SOURCE, STEPS, c_run, compile_c, kernel_run
 from koop_core.errors import KoopError
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import LifterConfig
@@ -20,8 +20,8 @@ from vdp_plant.config import PlantConfig
 def test_c_and_kernel_agree_over_the_whole_run(cost: str, tmp_path: Path) -> None:
     training = TrainingConfig(trajectories=20, duration=20.0)
     model = None if cost == "raw" else train(PlantConfig(), training)
-    loop = TimedLoop(LifterConfig(cost=cost), model)
-    theta, theta_c = kernel_run(loop)(), c_run(loop, compile_c(SOURCE, tmp_path))()
+    loop = LifterConfig(cost=cost), model
+    theta, theta_c = kernel_run(*loop)(), c_run(*loop, compile_c(SOURCE, tmp_path))()
     # not chaotic, but a flip of the relay may move by a step where sin() rounds differently
     assert np.abs(theta - theta_c).max() < 1e-6
     assert theta.size == theta_c.size == STEPS

@@ -80,22 +80,16 @@ def active_node(folder: Path, node: str) -> Iterator[NodeProcess]:
     process = NodeProcess(node, words, folder / f"{node}.log")
     try:
         with Monitor() as monitor:
-            _wait_until_active(monitor, process)
+
+            def active() -> bool:
+                if process.poll() is not None:
+                    raise process.failure()
+                return monitor.progress.values.get(node, {}).get("lifecycle_state") == "active"
+
+            monitor.wait_for(active, START_TIMEOUT, f"{node} to be active")
         yield process
     finally:
         process.stop()
-
-
-def _wait_until_active(monitor: Monitor, process: NodeProcess) -> None:
-    """Wait for a node's report that it is active."""
-
-    def active() -> bool:
-        if process.poll() is not None:
-            raise process.failure()
-        values = monitor.progress.values.get(process.node, {})
-        return values.get("lifecycle_state") == "active"
-
-    monitor.wait_for(active, START_TIMEOUT, f"{process.node} to be active")
 
 
 def loop_memory(folder: Path, composed: bool) -> dict[str, float]:

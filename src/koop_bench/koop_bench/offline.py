@@ -11,7 +11,6 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -31,30 +30,21 @@ from vdp_plant.config import PlantConfig
 STEPS = 500_000  # 2500 s
 ROUNDS = 15  # timed runs, the best one counts
 SOURCE = Path(__file__).with_name("closed_loop.c")
+PLANT, ESC = PlantConfig(), EscConfig()
 Run = Callable[[], NDArray[np.float64]]
 """Runs a loop and returns theta of every step."""
 
 
-@dataclass(frozen=True)
-class TimedLoop:
-    """One closed loop to be timed."""
-
-    lifter: LifterConfig
-    model: KoopmanModel | None
-    plant: PlantConfig = field(default_factory=PlantConfig)
-    esc: EscConfig = field(default_factory=EscConfig)
-
-
 def run(settings: BenchSettings) -> list[BenchFigure]:
     """Time kernel and C in turn, with either cost, so that other work disturbs both alike."""
-    model = train(PlantConfig(), TrainingConfig())
+    model = train(PLANT, TrainingConfig())
     rounds = settings.rounds or ROUNDS
     figures: list[BenchFigure] = []
     with tempfile.TemporaryDirectory() as folder:
         library = compile_c(SOURCE, Path(folder))
         for name in ("raw", "lifted"):
-            loop = TimedLoop(LifterConfig(cost=name), None if name == "raw" else model)
-            ours, theirs = kernel_run(loop), c_run(loop, library)
+            loop = LifterConfig(cost=name), None if name == "raw" else model
+            ours, theirs = kernel_run(*loop), c_run(*loop, library)
             worst = float(np.abs(ours() - theirs()).max())  # also compiles, and touches the memory
             times = [(time_of(ours), time_of(theirs)) for _ in range(rounds)]
             kernel, c = np.min(times, axis=0)
@@ -74,16 +64,16 @@ def time_of(function: Run) -> float:
     return time.process_time() - begin
 
 
-def kernel_run(loop: TimedLoop) -> Run:
+def kernel_run(lifter: LifterConfig, model: KoopmanModel | None) -> Run:
     """Return the compiled loop."""
-    parameters = controller(loop.lifter, loop.esc, loop.model)
+    parameters = controller(lifter, ESC, model)
     work = cost.workspace(parameters.lifting)
     buffers = (np.empty((STEPS, 2)), np.empty((STEPS, 2)), np.empty(STEPS), np.empty(STEPS))
-    start = initial_state(loop.plant)
+    start = initial_state(PLANT)
 
     def once() -> NDArray[np.float64]:
-        memory = LoopMemory(cost.initial(), loop.esc.initial())
-        plant, first = loop.plant.params(), memory.relay.output
+        memory = LoopMemory(cost.initial(), ESC.initial())
+        plant, first = PLANT.params(), memory.relay.output
         run_kernel(plant, None, parameters, None, first, memory, work, *start, *buffers)
         return buffers[-1]
 
@@ -118,16 +108,16 @@ class CLifting(ctypes.Structure):
     )
 
 
-def c_run(loop: TimedLoop, library: Path) -> Run:
+def c_run(lifter: LifterConfig, model: KoopmanModel | None, library: Path) -> Run:
     """Return the loop in C."""
-    lifting = cost.no_lifting() if loop.model is None else loop.model.lifting()
+    lifting = cost.no_lifting() if model is None else model.lifting()
     rows, p = lifting.projector.shape
     arrays = [np.ascontiguousarray(array) for array in lifting[:3]]
-    described = CLifting(loop.lifter.source, p, rows, *(array.ctypes.data for array in arrays))
+    described = CLifting(lifter.source, p, rows, *(array.ctypes.data for array in arrays))
     # the structures of the source begin with the same numbers, in the same order
-    parts = loop.plant.params(), loop.lifter.detector_params(), loop.esc.params(loop.plant.dt)
+    parts = PLANT.params(), lifter.detector_params(), ESC.params(PLANT.dt)
     plant, detector, relay = ((ctypes.c_double * len(p))(*map(float, p)) for p in parts)
-    start = (loop.esc.theta_initial, *initial_state(loop.plant))
+    start = (ESC.theta_initial, *initial_state(PLANT))
     buffers = [np.empty(size) for size in (p, 2 * STEPS, 2 * STEPS, STEPS, STEPS)]
     function = ctypes.CDLL(str(library)).run
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from importlib import import_module
 from typing import Any
 
+from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from std_srvs.srv import SetBool, Trigger
 
 from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.schema import load_service
@@ -22,9 +23,9 @@ from koop_view.session import Refused
 
 ANSWER = 5.0  # [s] for a node to answer
 OFFERED = {
-    "rcl_interfaces/srv/SetParametersAtomically",
-    "std_srvs/srv/SetBool",
-    "std_srvs/srv/Trigger",
+    "rcl_interfaces/srv/SetParametersAtomically": SetParametersAtomically,
+    "std_srvs/srv/SetBool": SetBool,
+    "std_srvs/srv/Trigger": Trigger,
 }
 """Types of services with which the page operates a loop."""
 ONCE = "std_srvs/srv/Trigger"
@@ -37,16 +38,10 @@ def load(number: int, name: str, type_name: str) -> AdvertisedService:
     return AdvertisedService(number, name, type_name, request, response)
 
 
-def service_class(type_name: str) -> Any:
-    """Return the Python class of a service type."""
-    package, _, name = type_name.partition("/srv/")
-    return getattr(import_module(f"{package}.srv"), name)
-
-
 def unpack(service: AdvertisedService, payload: bytes) -> Any:
     """Return the request that bytes hold; raise Refused if they hold none."""
     package, _, name = service.type_name.partition("/srv/")
-    kind = service_class(service.type_name).Request
+    kind: Any = OFFERED[service.type_name].Request
     if not kind.get_fields_and_field_types():  # some clients send one byte for it, some none
         return kind()
     try:
@@ -70,7 +65,7 @@ class ServiceCaller:
     def prepare(self, type_name: str, name: str) -> Any:
         """Return the client of a service; one that is made early is connected when it is needed."""
         if name not in self._clients:
-            self._clients[name] = self._node.create_client(service_class(type_name), name)
+            self._clients[name] = self._node.create_client(OFFERED[type_name], name)
         return self._clients[name]
 
     async def call(self, type_name: str, name: str, request: Any) -> Any:

@@ -129,14 +129,15 @@ class LiveSource(ViewSource):
 
     def _look(self, now: float) -> None:
         published, served = self._ask_nodes()
-        self._take_parameters(served)
-        self._take_channels()
-        named = {topic for topics in published.values() for topic in topics}
-        nameless = {
+        topics = {
             topic: types[0]
             for topic, types in self._node.get_topic_names_and_types()
-            if topic not in named and self._node.count_publishers(topic)
+            if self._node.count_publishers(topic)
         }
+        self._take_parameters(served)
+        self._take_channels(topics)
+        named = {topic for outputs in published.values() for topic in outputs}
+        nameless = {topic: kind for topic, kind in topics.items() if topic not in named}
         managed = {node for node, names in served.items() if f"{node}/change_state" in names}
         loops = find_loops(published, nameless, managed)
         about = self._read_about()
@@ -170,21 +171,19 @@ class LiveSource(ViewSource):
             served[full] = {service: types[0] for service, types in services}
         return published, served
 
-    def _take_channels(self) -> None:
+    def _take_channels(self, topics: Mapping[str, str]) -> None:
         added = []
-        for topic, types in self._node.get_topic_names_and_types():
+        for topic, kind in topics.items():
             if topic in self._types or len(self._types) >= MOST:
                 continue
-            if not self._node.count_publishers(topic):
-                continue
-            self._types[topic] = types[0]
+            self._types[topic] = kind
             try:
-                message_type(types[0])
-                definition = load_schema(types[0]).text
+                message_type(kind)
+                definition = load_schema(kind).text
             except KoopError as error:
                 self.log(f"{topic} is not shown: {error}")
                 continue
-            added.append(AdvertisedChannel(next(self._numbers), topic, types[0], definition))
+            added.append(AdvertisedChannel(next(self._numbers), topic, kind, definition))
         self.channels.update({channel.number: channel for channel in added})
         for session in self.sessions if added else ():
             session.send(protocol.advertise(added))

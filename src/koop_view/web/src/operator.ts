@@ -8,6 +8,8 @@ import type { Loop } from "./loop";
 const MOST_ACTS = 50;
 const [DOUBLE, STRING, DOUBLE_ARRAY] = [3, 4, 8]; // rcl_interfaces/msg/ParameterType
 
+type NodeRole = "controller" | "guard" | "lifter";
+
 /** What the operator sees. */
 export interface Desk {
   loop: Loop | undefined;
@@ -43,17 +45,12 @@ export class Operator {
   /** Show what may be done now, and in the inputs the values of the loop. */
   refresh(): void {
     const { loop, operate, limits } = this.desk;
-    const controller = loop?.names.controller;
     document.body.dataset["operate"] = String(operate);
-    const allow = (id: string, service: string): void => {
-      const offered = controller ? this.link.offers(`${controller}/${service}`) : false;
-      byId<HTMLButtonElement>(id).disabled = !(operate && !loop?.now.ended && offered);
-    };
-    allow("hold", "hold");
-    allow("resume", "hold");
-    allow("reset", "reset");
-    allow("set-limits", "set_parameters_atomically");
-    if (!limits.length) byId<HTMLButtonElement>("set-limits").disabled = true; // a commander's
+    this.allow("hold", "controller", "hold");
+    this.allow("resume", "controller", "hold");
+    this.allow("reset", "controller", "reset");
+    const hasLimits = limits.length > 0; // a commander has none
+    this.allow("set-limits", "controller", "set_parameters_atomically", hasLimits);
     this.showGuard();
     this.showProposal();
     byId("hold").classList.toggle("pressed", loop?.now.holding ?? false);
@@ -69,6 +66,13 @@ export class Operator {
     byId<HTMLInputElement>("theta-max").value = String(ends[1]);
   }
 
+  /** Let a button be pressed while a node offers its service. */
+  private allow(id: string, node: NodeRole, service: string, wanted = true): void {
+    const { loop, operate } = this.desk;
+    const offered = this.link.offers(`${loop?.names[node]}/${service}`);
+    byId<HTMLButtonElement>(id).disabled = !(operate && wanted && offered && !loop?.now.ended);
+  }
+
   /** The knob whose limits are shown. */
   private get knob(): number {
     return Math.max(byId<HTMLSelectElement>("limits-of").selectedIndex, 0);
@@ -76,20 +80,15 @@ export class Operator {
 
   /** A line about the guard, if the loop has one, and what may be done with it. */
   private showGuard(): void {
-    const { loop, operate } = this.desk;
-    const guard = loop?.names.guard;
-    const report = guard ? loop?.reports.get(guard) : undefined;
+    const { loop } = this.desk;
+    const report = loop?.reports.get(loop.names.guard ?? "");
     byId("guard").hidden = !report;
     if (!report) return;
     const isTripped = report.values["status"] === "tripped";
     const where = isTripped ? `; θ is ${short(Number(report.values["theta"]))}` : "";
     setText(byId("guard-text"), `Guard: ${report.message}${where}`);
-    const allow = (id: string, wanted: boolean): void => {
-      const offered = this.link.offers(`${guard}/${id}`);
-      byId<HTMLButtonElement>(id).disabled = !(operate && wanted && offered && !loop?.now.ended);
-    };
-    allow("rearm", isTripped);
-    allow("trip", !isTripped);
+    this.allow("rearm", "guard", "rearm", isTripped);
+    this.allow("trip", "guard", "trip", !isTripped);
   }
 
   /** The model that the lifter proposes after a change; empty: none. */
@@ -99,11 +98,9 @@ export class Operator {
   }
 
   private showProposal(): void {
-    const { loop, operate } = this.desk;
     byId("proposal").hidden = !this.proposal;
     setText(byId("proposal-text"), `Since the rig has changed, a better model: ${this.proposal}`);
-    const offered = this.link.offers(`${loop?.names.lifter}/set_parameters_atomically`);
-    byId<HTMLButtonElement>("use-model").disabled = !(operate && offered && !loop?.now.ended);
+    this.allow("use-model", "lifter", "set_parameters_atomically");
   }
 
   private async useModel(): Promise<void> {
@@ -175,7 +172,7 @@ export class Operator {
     what: string,
     service: string,
     request: Message,
-    node: "controller" | "guard" | "lifter" = "controller",
+    node: NodeRole = "controller",
   ): Promise<void> {
     const outcome = make("span", { text: " …" });
     const entry = make("li", { data: { outcome: "asked" } }, make("b", { text: what }), outcome);
