@@ -8,7 +8,9 @@ import time
 
 import pytest
 
+from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import NodeProcess
+from koop_bringup.plan import Plan
 
 # Ends when it is told to, and until then lets its parent be told once more.
 ENDS_LATE = """
@@ -55,6 +57,9 @@ def test_a_node_that_hung_as_it_left_the_domain_has_done_its_work(tmp_path):
     node = NodeProcess("node", [hung], tmp_path / "node.log", [sys.executable, "-c"])
     while node.last_lines() != "started":
         assert node.poll() is None
+    run = LiveNodes(tmp_path, Plan({}))
+    run._nodes["node"] = node
+    run.end()  # which is no failure
     assert node.stop() == 0
     assert node.poll() == -signal.SIGALRM
 

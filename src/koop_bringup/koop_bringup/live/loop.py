@@ -227,10 +227,9 @@ class LiveNodes:
         LiveError
             If a node then ends with an exit code other than 0.
         """
-        self._stop_all(signal.SIGINT)
-        for node, process in self._nodes.items():
-            if process.poll() != 0 and node not in self.lost:
-                raise process.failure()
+        for node, code in self._stop_all(signal.SIGINT).items():
+            if code and node not in self.lost:
+                raise self._nodes[node].failure()
 
     def process_ids(self) -> dict[str, int]:
         """Return the id of every process, by node; all composed nodes are in ``container``."""
