@@ -12,6 +12,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from koop_bag.bag.recover import recover
+from koop_bag.bag.summary import Seconds
+from koop_bag.cdr.schema import load_schema
 
 pytestmark = pytest.mark.ros
 
@@ -82,6 +84,19 @@ def test_seconds_are_what_numpy_makes_of_the_recording_and_no_message_is_in_none
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         decoded = [m.theta_mean[0] for *_, m in reader.iter_decoded_messages(["/summary"])]
     assert decoded == pytest.approx([m.theta_mean[0] for _, m in kept["/summary"]])
+
+
+def test_a_clock_that_is_set_back_goes_on_with_its_seconds(messages):
+    """Before, all messages waited in memory until the clock had caught up."""
+    seconds, schema = Seconds(), load_schema(TYPES["/state"])
+    seconds.watch(1, "/state", schema.name, schema.text)
+    actual = []
+    for begin in (10_000, 6_400):
+        for k in range(50):  # five seconds
+            now = begin * 10**9 + k * 10**8
+            seconds.add(1, now, messages.loop("/state", k))
+            actual += [(s.begin // 10**9, s.count) for s in seconds.finish(now)]
+    assert actual == [(begin + k, 10) for begin in (10_000, 6_400) for k in range(3)]
 
 
 def test_a_recording_that_keeps_all_has_no_long_term_record(tmp_path):

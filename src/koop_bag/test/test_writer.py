@@ -410,6 +410,22 @@ def test_a_chunk_waits_no_longer_than_it_may(tmp_path, messages):
         assert writer.bytes_written > written
 
 
+def test_a_clock_that_is_set_back_delays_no_chunk_and_changes_no_time(tmp_path, messages):
+    """Before, what was written within the hour was lost by a kill, and logged at one time."""
+    options, back = WriterOptions(compression="none", split_bytes=16_000), START - 3600 * 10**9
+    times = [START + k * PERIOD for k in range(150)] + [back + k * PERIOD for k in range(5)]
+    with BagWriter(tmp_path / "run", options) as writer:
+        channel = writer.add_topic("/state", load_schema(LOOP["/state"]))
+        for k, now in enumerate(times):
+            writer.write(channel, now, now, messages.loop("/state", k))
+        before = writer.bytes_written
+        writer.flush_due(times[-1])
+        assert writer.bytes_written > before
+    with BagReader(tmp_path / "run") as reader:
+        assert len(reader.files) > 1
+        assert [m.log_time for m in reader.messages()] == times
+
+
 def test_large_messages_do_not_gather_in_memory(tmp_path):
     with BagWriter(tmp_path / "run", WriterOptions(compression="none")) as writer:
         channel = writer.add_topic("/blob", load_schema("std_msgs/msg/UInt8MultiArray"))

@@ -17,6 +17,7 @@ from koop_bag.cdr.layout import LayoutFinder
 from koop_bag.errors import BagError
 
 SECOND = 1_000_000_000  # [ns]
+LATE = 10  # [s] for which no message waits to be taken
 MODEL = "model_id"
 FIELDS: dict[str, tuple[str, ...]] = {
     "koop_msgs/msg/MeasuredState": ("x",),
@@ -81,9 +82,12 @@ class Seconds:
     def add(self, channel: int, time: int, message: bytes) -> None:
         """Take a message that was received at a time [ns since the epoch].
 
-        One that comes when its second is finished counts in the next.
+        One that comes when its second is finished counts in the next; one that comes long after
+        shows that the clock was set back.
         """
         if channel in self._sources:
+            if time // SECOND < self._next - LATE:
+                self._next = time // SECOND
             second = self._open.setdefault(max(time // SECOND, self._next), {})
             second.setdefault(channel, []).append(message)
 

@@ -25,6 +25,8 @@ sequence, log time, publish time.
 """
 MESSAGE = int(Opcode.MESSAGE)
 CHANNELS = 1 << 16  # that a file may have
+STRADDLE = 1_000_000_000
+"""Time [ns] by which a message may be older than the file before it; more: a clock was set back."""
 
 Row = tuple[int, int, int, bytes]
 """log time [ns], channel id, publish time [ns], serialized message."""
@@ -104,7 +106,9 @@ def _append(
     full = False
     i = first
     while i < table.shape[0] and not full:
-        log_time = max(table[i, LOG_TIME], not_before)
+        log_time = table[i, LOG_TIME]
+        if 0 < not_before - log_time < STRADDLE:
+            log_time = not_before
         channel, begin, length = table[i, CHANNEL], table[i, BEGIN], table[i, SIZE]
         if size == 0:
             start = log_time
@@ -153,7 +157,7 @@ class ChunkBuffer:
             np.zeros(CHANNELS, np.uint32),
         )
         self.not_before = 0
-        """No message is logged before this time [ns]."""
+        """No message is logged just before this time [ns]."""
         none = batch_of(())
         self._append = direct(_append, none, 0, 0, max_bytes, max_age, self._progress)
 
@@ -184,8 +188,8 @@ class ChunkBuffer:
         return next_one
 
     def is_due(self, now: int) -> bool:
-        """Whether messages have waited long enough; `now` in nanoseconds since the epoch."""
-        return self.size > 0 and now - self.start >= self._max_age
+        """Whether messages have waited long enough, or the clock was set back; `now` in ns."""
+        return self.size > 0 and not 0 <= now - self.start < self._max_age
 
     def counts(self) -> dict[int, int]:
         """Messages gathered, by channel."""
