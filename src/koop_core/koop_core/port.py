@@ -29,34 +29,24 @@ PLAIN = MORE
 
 
 class Port(NamedTuple):
-    """A subscription or a publisher, the memory of its message, and where its values lie.
-
-    Attributes
-    ----------
-    function, handle : int
-        Addresses of rcl's function and of the entity.
-    message : ndarray of int64, shape (8,)
-        An rcl_serialized_message_t: address, bytes and capacity of its buffer, allocator.
-    info : ndarray of int64, shape (INFO,)
-        An rmw_message_info_t.
-    data : ndarray of uint8, shape (CAPACITY,)
-        The buffer.
-    guards : ndarray of int64, shape (G, 2)
-        Offset and value of each length word.
-    size : int
-        Bytes of a message.
-    at : ndarray of int64, shape (V,)
-        Offsets of the values that the code reads or writes, in its order.
-    """
+    """A subscription or a publisher, the memory of its message, and where its values lie."""
 
     function: int
     handle: int
+    """Addresses of rcl's function and of the entity."""
     message: NDArray[np.int64]
+    """Shape (8,): an rcl_serialized_message_t: address, bytes and capacity of its buffer,
+    allocator."""
     info: NDArray[np.int64]
+    """Shape (INFO,): an rmw_message_info_t."""
     data: NDArray[np.uint8]
+    """Shape (CAPACITY,): the buffer."""
     guards: NDArray[np.int64]
+    """Shape (G, 2): offset and value of each length word."""
     size: int
+    """Bytes of a message."""
     at: NDArray[np.int64]
+    """Shape (V,): offsets of the values that the code reads or writes, in its order."""
 
 
 NO_PORT = Port(

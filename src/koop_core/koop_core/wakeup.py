@@ -16,29 +16,20 @@ STEADY = time.CLOCK_MONOTONIC
 
 
 class Wakeup(NamedTuple):
-    """What wakes a thread.
-
-    Attributes
-    ----------
-    clock, epoll_wait, read : int
-        Addresses of libc's clock_gettime, epoll_wait and read.
-    epoll : int
-        Descriptor that tells whether there is anything new for the thread.
-    descriptors : ndarray of int64, shape (S,)
-        Those of it to which DDS writes that there are messages for the code.
-    until : float
-        Steady time [s] at which Python has something to do.
-    memory : ndarray of int64, shape (4,)
-        The steady time at which the code waited last [s, ns]; what libc writes.
-    """
+    """What wakes a thread."""
 
     clock: int
     epoll_wait: int
     read: int
+    """Addresses of libc's clock_gettime, epoll_wait and read."""
     epoll: int
+    """Descriptor that tells whether there is anything new for the thread."""
     descriptors: NDArray[np.int64]
+    """Shape (S,): those of it to which DDS writes that there are messages for the code."""
     until: float
+    """Steady time [s] at which Python has something to do."""
     memory: NDArray[np.int64]
+    """Shape (4,): the steady time at which the code waited last [s, ns]; what libc writes."""
 
 
 @njit()

@@ -24,24 +24,16 @@ timeout_of = njit()(arrival.timeout_of)
 
 
 class Controller(NamedTuple):
-    """Parameters of lifter and controller.
-
-    Attributes
-    ----------
-    source : int
-        RAW or LIFTED.
-    lifting : Lifting
-        Arrays of the model.
-    detector : DetectorParams
-        Filters of the lifter.
-    relay : RelayParams
-        Law of the controller.
-    """
+    """Parameters of lifter and controller."""
 
     source: int
+    """RAW or LIFTED."""
     lifting: Lifting
+    """Arrays of the model."""
     detector: DetectorParams
+    """Filters of the lifter."""
     relay: RelayParams
+    """Law of the controller."""
 
 
 class LoopMemory(NamedTuple):

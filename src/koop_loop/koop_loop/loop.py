@@ -37,27 +37,18 @@ class LoopDiverged(KoopError, ArithmeticError):
 
 @dataclass(frozen=True)
 class LoopResult:
-    """Signals of one closed loop, one row a step.
-
-    Attributes
-    ----------
-    dt : float
-        Step [s]; step k is at t = k dt.
-    measured : ndarray, shape (M, 2)
-        x'(t_k).
-    ground_truth : ndarray, shape (M, 2)
-        x(t_k).
-    r : ndarray, shape (M,)
-        Cost.
-    theta : ndarray, shape (M,)
-        Control input; of n > 1 knobs of shape (M, n).
-    """
+    """Signals of one closed loop, one row a step."""
 
     dt: float
+    """Step [s]; step k is at t = k dt."""
     measured: NDArray[np.float64]
+    """Shape (M, 2): x'(t_k)."""
     ground_truth: NDArray[np.float64]
+    """Shape (M, 2): x(t_k)."""
     r: NDArray[np.float64]
+    """Shape (M,): cost."""
     theta: NDArray[np.float64]
+    """Shape (M,): control input; of n > 1 knobs of shape (M, n)."""
 
     @property
     def step(self) -> NDArray[np.int64]:

@@ -16,28 +16,19 @@ LOGGING_START = 100.0  # [s] the paper logs from here on, to leave out the initi
 
 @dataclass(frozen=True)
 class Metrics:
-    """Metrics of one run.
-
-    Attributes
-    ----------
-    iae_theta : float
-        Integral of |theta - theta*| [s].
-    ise_theta : float
-        Integral of (theta - theta*)^2 [s].
-    t_theta : float or None
-        First time with |theta - theta*| below the tolerance [s]; None if never.
-    e_r_ss : float or None
-        |mean r over the last 30 % - r*| / (max r - min r) [-], r* from ``koop_loop.static_map``;
-        None without an r* or a range.
-    tail_error : float
-        Mean |theta - theta*| over the last 30 %.
-    """
+    """Metrics of one run."""
 
     iae_theta: float
+    """Integral of |theta - theta*| [s]."""
     ise_theta: float
+    """Integral of (theta - theta*)^2 [s]."""
     t_theta: float | None
+    """First time with |theta - theta*| below the tolerance [s]; None if never."""
     e_r_ss: float | None
+    """|mean r over the last 30 % - r*| / (max r - min r) [-], r* from ``koop_loop.static_map``;
+    None without an r* or a range."""
     tail_error: float
+    """Mean |theta - theta*| over the last 30 %."""
 
     @property
     def converged(self) -> bool:

@@ -20,41 +20,30 @@ from koopman_lifter.delays import dominant_period
 
 @dataclass(frozen=True)
 class RigMetrics:
-    """Oscillation and theta of one run.
-
-    Attributes
-    ----------
-    window : float
-        Length of the windows in which amplitudes are taken [s].
-    before_from, before_to : float
-        Time that counts as before [s]: until theta first moves, else the first window.
-    after_from, after_to : float
-        Time that counts as after, and as the end for theta [s]: the last 30 %.
-    before, after : tuple of float
-        Amplitude of each channel (``koop_loop.oscillation``): the root mean square over the
-        windows; where none is whole, over the longest segments without a gap; NaN where the data
-        have none of 8 samples.
-    theta_mean, theta_swing : tuple of float or None
-        Mean and range of each knob at the end; None without theta.
-    settled_at : float or None
-        When theta last came into its final swing, widened by a tenth at both ends [s]; None if it
-        had not been there for a fifth of the end's length when the end began, or if it does not go
-        over half of that swing in the second half of the end.
-    at_limit : float or None
-        Share of the time in which theta was at a limit; None if none is known.
-    """
+    """Oscillation and theta of one run."""
 
     window: float
+    """Length of the windows in which amplitudes are taken [s]."""
     before_from: float
     before_to: float
+    """Time that counts as before [s]: until theta first moves, else the first window."""
     after_from: float
     after_to: float
+    """Time that counts as after, and as the end for theta [s]: the last 30 %."""
     before: tuple[float, ...]
     after: tuple[float, ...]
+    """Amplitude of each channel (``koop_loop.oscillation``): the root mean square over the windows;
+    where none is whole, over the longest segments without a gap; NaN where the data have none of 8
+    samples."""
     theta_mean: tuple[float, ...] | None
     theta_swing: tuple[float, ...] | None
+    """Mean and range of each knob at the end; None without theta."""
     settled_at: float | None
+    """When theta last came into its final swing, widened by a tenth at both ends [s]; None if it
+    had not been there for a fifth of the end's length when the end began, or if it does not go over
+    half of that swing in the second half of the end."""
     at_limit: float | None
+    """Share of the time in which theta was at a limit; None if none is known."""
 
     @property
     def reduction(self) -> tuple[float, ...]:

@@ -33,38 +33,27 @@ LOSSES = LossSettings()
 
 @dataclass(slots=True)
 class StepReport:
-    """Losses of one topic, from its steps in the order in which they were received.
-
-    Attributes
-    ----------
-    count : int
-        Messages received.
-    lost : int
-        Steps jumped over: a step k followed by k + 1 + n counts n. A step that goes back, of a
-        restarted run or of a second publisher, is not a loss. Neither is the step forward from it
-        to where the steps before it continue, nor a jump.
-    duplicates : int
-        Messages with the step of the one before: a state sent again is not a loss.
-    backward : int
-        Messages with a smaller step than the one before: a restarted publisher, a second one, or
-        messages out of order.
-    jumps : int
-        Steps ahead by more than LOSSES.jump.
-    inactive : int
-        Steps jumped over while the recorder or the publishing node was inactive: not lost.
-    first, last : int
-        First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late
-        recorder.
-    """
+    """Losses of one topic, from its steps in the order in which they were received."""
 
     count: int = 0
+    """Messages received."""
     lost: int = 0
+    """Steps jumped over: a step k followed by k + 1 + n counts n. A step that goes back, of a
+    restarted run or of a second publisher, is not a loss. Neither is the step forward from it to
+    where the steps before it continue, nor a jump."""
     duplicates: int = 0
+    """Messages with the step of the one before: a state sent again is not a loss."""
     backward: int = 0
+    """Messages with a smaller step than the one before: a restarted publisher, a second one, or
+    messages out of order."""
     jumps: int = 0
+    """Steps ahead by more than LOSSES.jump."""
     inactive: int = 0
+    """Steps jumped over while the recorder or the publishing node was inactive: not lost."""
     first: int = -1
     last: int = -1
+    """First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late
+    recorder."""
 
 
 class LossCounter(StepReport):

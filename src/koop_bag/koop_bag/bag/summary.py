@@ -41,27 +41,18 @@ class Statistics(NamedTuple):
 
 @dataclass
 class LoopSecond:
-    """A second of a loop.
-
-    Attributes
-    ----------
-    loop : str
-        Namespace of the loop, without a slash at its end.
-    begin : int
-        Begin of the second [ns since the epoch].
-    count : int
-        States in it.
-    model_id : str
-        Model of its last cost; empty where there is none.
-    statistics : dict of str to Statistics
-        By name: ``x``, ``r``, ``margin``, ``theta``, as far as there were any.
-    """
+    """A second of a loop."""
 
     loop: str
+    """Namespace of the loop, without a slash at its end."""
     begin: int
+    """Begin of the second [ns since the epoch]."""
     count: int = 0
+    """States in it."""
     model_id: str = ""
+    """Model of its last cost; empty where there is none."""
     statistics: dict[str, Statistics] = field(default_factory=dict)
+    """By name: ``x``, ``r``, ``margin``, ``theta``, as far as there were any."""
 
 
 class Seconds:

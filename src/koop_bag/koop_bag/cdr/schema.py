@@ -20,26 +20,18 @@ SEPARATOR = "=" * 80
 
 @dataclass(frozen=True)
 class MessageSchema:
-    """A message type as a bag holds it.
-
-    Attributes
-    ----------
-    name : str
-        Full type name, `pkg/msg/Type`.
-    text : str
-        Root definition, then each dependency once after a separator line: those of a message by
-        name, each followed by its own, as rosbag2 orders them, so that the texts are equal.
-    type_hash : str
-        `RIHS01_...`, or empty where the package has no type description (readers accept that, but
-        not a wrong one).
-    encoding : str
-        Language of the text.
-    """
+    """A message type as a bag holds it."""
 
     name: str
+    """Full type name, `pkg/msg/Type`."""
     text: str
+    """Root definition, then each dependency once after a separator line: those of a message by
+    name, each followed by its own, as rosbag2 orders them, so that the texts are equal."""
     type_hash: str
+    """`RIHS01_...`, or empty where the package has no type description (readers accept that, but
+    not a wrong one)."""
     encoding: str = "ros2msg"
+    """Language of the text."""
 
 
 def load_schema(type_name: str) -> MessageSchema:

@@ -35,19 +35,13 @@ LOG_TIME, CHANNEL, PUBLISH_TIME, BEGIN, SIZE = range(5)
 
 
 class Batch(NamedTuple):
-    """Messages in the order in which they were received.
-
-    Attributes
-    ----------
-    table : ndarray of int64, shape (n, 5 or more)
-        A row is a message: log time [ns], channel id, publish time [ns], and where it begins in
-        ``data`` and how long it is [B].
-    data : ndarray of uint8
-        The serialized messages.
-    """
+    """Messages in the order in which they were received."""
 
     table: NDArray[np.int64]
+    """Shape (n, 5 or more): a row is a message: log time [ns], channel id, publish time [ns], and
+    where it begins in ``data`` and how long it is [B]."""
     data: NDArray[np.uint8]
+    """The serialized messages."""
 
     def rows(self) -> Iterator[Row]:
         """Yield the messages."""
@@ -67,24 +61,16 @@ def batch_of(rows: Iterable[Row]) -> Batch:
 
 
 class _Progress(NamedTuple):
-    """How far a chunk is; each an array, which the kernel writes to.
-
-    Attributes
-    ----------
-    so_far : ndarray of int64, shape (3,)
-        Bytes and messages gathered, log time of the first of them [ns].
-    records : ndarray of uint8, shape (R,)
-        The message records.
-    entries : ndarray of int64, shape (N, 3)
-        Channel, log time and place of each.
-    sequences : ndarray of uint32, shape (CHANNELS,)
-        Last sequence number of each channel.
-    """
+    """How far a chunk is; each an array, which the kernel writes to."""
 
     so_far: NDArray[np.int64]
+    """Shape (3,): bytes and messages gathered, log time of the first of them [ns]."""
     records: NDArray[np.uint8]
+    """Shape (R,): the message records."""
     entries: NDArray[np.int64]
+    """Shape (N, 3): channel, log time and place of each."""
     sequences: NDArray[np.uint32]
+    """Shape (CHANNELS,): last sequence number of each channel."""
 
 
 @njit()

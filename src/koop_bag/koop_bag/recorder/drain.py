@@ -34,19 +34,13 @@ NONE: NDArray[np.int64] = np.empty((0, 7), np.int64)
 
 
 class Rows(NamedTuple):
-    """What was taken from a source.
-
-    Attributes
-    ----------
-    table : ndarray of int64, shape (n, 7)
-        The rows of :class:`koop_bag.mcap.chunk.Batch`, with STEP and HAS_STEP; the channel is the
-        number of the source.
-    follow : bool
-        Whether each has a step, the next after the last one.
-    """
+    """What was taken from a source."""
 
     table: NDArray[np.int64]
+    """Shape (n, 7): the rows of :class:`koop_bag.mcap.chunk.Batch`, with STEP and HAS_STEP; the
+    channel is the number of the source."""
     follow: bool
+    """Whether each has a step, the next after the last one."""
 
     def add_to(self, losses: LossCounter) -> None:
         """Count the messages, without those that are damaged."""
@@ -79,24 +73,17 @@ def _find_step(data: NDArray[np.uint8], begin: int, size: int) -> tuple[int, int
 
 
 class _Taken(NamedTuple):
-    """What was taken; the kernel writes to it.
-
-    Attributes
-    ----------
-    table : ndarray of int64, shape (R, 7)
-        The rows of :class:`koop_bag.mcap.chunk.Batch`, with STEP and HAS_STEP.
-    data : ndarray of uint8, shape (D,)
-        The messages, one after the other.
-    used : ndarray of int64, shape (2,)
-        How much of both is used.
-    ends : ndarray of int64, shape (S, 2)
-        Of each source: where its rows end, and whether each of their steps follows on the last.
-    """
+    """What was taken; the kernel writes to it."""
 
     table: NDArray[np.int64]
+    """Shape (R, 7): the rows of :class:`koop_bag.mcap.chunk.Batch`, with STEP and HAS_STEP."""
     data: NDArray[np.uint8]
+    """Shape (D,): the messages, one after the other."""
     used: NDArray[np.int64]
+    """Shape (2,): how much of both is used."""
     ends: NDArray[np.int64]
+    """Shape (S, 2): of each source: where its rows end, and whether each of their steps follows on
+    the last."""
 
 
 @njit(nogil=True)

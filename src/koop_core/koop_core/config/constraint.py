@@ -29,45 +29,29 @@ FORMS = "write kp <= 20 kd between knobs, or rms(/topic:field, 10 s) < 1.5, or p
 
 
 class Constraint(NamedTuple):
-    """A statistic of a signal that must stay below a bound.
-
-    Attributes
-    ----------
-    statistic : str
-        ``rms``, the root mean square, or ``peak``, the largest magnitude.
-    source : Source
-        Topic and field of the signal.
-    window : float
-        Time over which the statistic is taken [s], of the rig's own time.
-    bound : float
-        What it must stay below, in the signal's unit; above 0.
-    """
+    """A statistic of a signal that must stay below a bound."""
 
     statistic: str
+    """``rms``, the root mean square, or ``peak``, the largest magnitude."""
     source: Source
+    """Topic and field of the signal."""
     window: float
+    """Time over which the statistic is taken [s], of the rig's own time."""
     bound: float
+    """What it must stay below, in the signal's unit; above 0."""
 
 
 class Line(NamedTuple):
-    """A line between knobs that theta stays on one side of.
-
-    Attributes
-    ----------
-    text : str
-        As it is written.
-    weights : tuple of float
-        a of each knob.
-    bound : float
-        b, the largest a . theta.
-    room : float
-        Part of b that stays free, for what rounding adds.
-    """
+    """A line between knobs that theta stays on one side of."""
 
     text: str
+    """As it is written."""
     weights: tuple[float, ...]
+    """a of each knob."""
     bound: float
+    """b, the largest a . theta."""
     room: float = 0.0
+    """Part of b that stays free, for what rounding adds."""
 
     def excess(self, theta: Sequence[float]) -> float:
         """Return a . theta - b and the room, which is not above 0 where the line is kept."""

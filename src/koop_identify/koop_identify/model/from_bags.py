@@ -27,37 +27,25 @@ from koopman_lifter.observables import Monomials
 
 @dataclass(frozen=True)
 class BagTraining:
-    """Settings of a training on bags.
-
-    Attributes
-    ----------
-    reading : BagReading
-        How a bag becomes states.
-    degree : int or None
-        Largest degree of the monomials; None: 3, or less where delays would make that too many.
-    modes : int
-        Number N of modes to keep.
-    names : tuple of str
-        Names of the states; empty: from the fields.
-    contrast : bool
-        Whether the cost is the contrast of strong and weak oscillation (koopman_lifter.contrast)
-        in place of the energy of the dominant modes.
-    period : float or None
-        Period of the oscillation to contrast [s]; None: of the one whose power varies most.
-    delays : int
-        Samples of every channel that make up the state.
-    spacing : float or None
-        Time between two of them [s]; None: so that they span an eighth of the dominant period.
-    """
+    """Settings of a training on bags."""
 
     reading: BagReading
+    """How a bag becomes states."""
     degree: int | None = None
+    """Largest degree of the monomials; None: 3, or less where delays would make that too many."""
     modes: int = 8
+    """Number N of modes to keep."""
     names: tuple[str, ...] = ()
+    """Names of the states; empty: from the fields."""
     contrast: bool = False
+    """Whether the cost is the contrast of strong and weak oscillation (koopman_lifter.contrast) in
+    place of the energy of the dominant modes."""
     period: float | None = None
+    """Period of the oscillation to contrast [s]; None: of the one whose power varies most."""
     delays: int = 1
+    """Samples of every channel that make up the state."""
     spacing: float | None = None
+    """Time between two of them [s]; None: so that they span an eighth of the dominant period."""
 
     def __post_init__(self) -> None:
         if self.degree is not None and not 1 <= self.degree <= 8:

@@ -25,28 +25,20 @@ ROUNDED = 1e-6  # more than an interpolated number of a sample is off by roundin
 
 @dataclass(frozen=True)
 class Loaded:
-    """States one dt apart.
-
-    Attributes
-    ----------
-    x : ndarray, shape (n, M)
-        Measured channels.
-    begins : ndarray of bool, shape (M,)
-        Whether a state follows on none.
-    theta : ndarray, shape (M,) or of n > 1 knobs (M, n), or None
-        Control input that was last received before each state, NaN before the first and where
-        one that usually comes often has stayed away; None if the recording holds none.
-    time : ndarray, shape (M,)
-        From the first state [s]; of several recordings, each from its own.
-    recorded : float
-        Time from the first to the last sample, usable or not [s]; of all recordings.
-    """
+    """States one dt apart."""
 
     x: NDArray[np.float64]
+    """Shape (n, M): measured channels."""
     begins: NDArray[np.bool_]
+    """Shape (M,): whether a state follows on none."""
     theta: NDArray[np.float64] | None
+    """Shape (M,) or of n > 1 knobs (M, n): control input that was last received before each state,
+    NaN before the first and where one that usually comes often has stayed away; None if the
+    recording holds none."""
     time: NDArray[np.float64]
+    """Shape (M,): from the first state [s]; of several recordings, each from its own."""
     recorded: float = 0.0
+    """Time from the first to the last sample, usable or not [s]; of all recordings."""
 
     def after(self, first: int) -> Loaded:
         """Return the recording from a sample on."""

@@ -53,33 +53,23 @@ class LoopRecord(Signals):
 
     Where steps restart within the bag, as of a plant that was started again, the rows are those of
     the longest run.
-
-    Attributes
-    ----------
-    answered : ndarray of bool, shape (M,)
-        Whether all topics have the step.
-    model_id : str
-        Model of the first cost; empty if there is none.
-    lost, counts : dict
-        Missing steps and messages by topic.
-    duration : float
-        Wall-clock time from the first to the last state [s].
-    passes : int
-        How often the steps of the states begin.
-    tripped : ndarray of bool, shape (M,)
-        Whether the guard held theta, tripped.
-    trips : Trips or None
-        What tripped it; None if nothing did.
     """
 
     answered: NDArray[np.bool_]
+    """Shape (M,): whether all topics have the step."""
     model_id: str
+    """Model of the first cost; empty if there is none."""
     lost: dict[str, int]
     counts: dict[str, int]
+    """Missing steps and messages by topic."""
     duration: float
+    """Wall-clock time from the first to the last state [s]."""
     passes: int
+    """How often the steps of the states begin."""
     tripped: NDArray[np.bool_]
+    """Shape (M,): whether the guard held theta, tripped."""
     trips: Trips | None
+    """What tripped it; None if nothing did."""
 
     def closed(self, bag: Path) -> LoopRecord:
         """Return the steps that have a state, a cost and a theta.

@@ -39,24 +39,16 @@ def recorded_source(text: str) -> Source:
 
 @dataclass(frozen=True)
 class Batch:
-    """Consecutive samples.
-
-    Attributes
-    ----------
-    time : ndarray of int64, shape (M,)
-        Stamp, or time of reception where there is none [ns].
-    step : ndarray of int64, shape (M,), or None
-        Step index, where the message has one.
-    x : ndarray, shape (M, n)
-        State.
-    stamped : bool
-        Whether the time is the stamp.
-    """
+    """Consecutive samples."""
 
     time: NDArray[np.int64]
+    """Shape (M,): stamp, or time of reception where there is none [ns]."""
     step: NDArray[np.int64] | None
+    """Shape (M,): step index, where the message has one."""
     x: NDArray[np.float64]
+    """Shape (M, n): state."""
     stamped: bool = True
+    """Whether the time is the stamp."""
 
 
 def batches(bag: BagReader, source: Source) -> Iterator[Batch]:

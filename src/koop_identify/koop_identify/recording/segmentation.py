@@ -19,26 +19,18 @@ from koop_identify.settings import READING
 
 @dataclass(frozen=True)
 class BagReading:
-    """Which numbers of a bag are measured and commanded, and how they become states.
-
-    Attributes
-    ----------
-    measured : Source
-        Fields that are the state.
-    commands : tuple of Source
-        Fields that are theta, of each knob; none: the loop's own first where the bag has it.
-    dt : float or None
-        Time between two states [s]; None: the recorded loop's, else the messages'.
-    gap : float or None
-        Longest pause that is bridged [s]; None: three times the usual period, at least three dt,
-        but no missing step. Without stamps, the time in which no sample was taken, however late
-        those before came.
-    """
+    """Which numbers of a bag are measured and commanded, and how they become states."""
 
     measured: Source
+    """Fields that are the state."""
     commands: tuple[Source, ...] = ()
+    """Fields that are theta, of each knob; none: the loop's own first where the bag has it."""
     dt: float | None = None
+    """Time between two states [s]; None: the recorded loop's, else the messages'."""
     gap: float | None = None
+    """Longest pause that is bridged [s]; None: three times the usual period, at least three dt, but
+    no missing step. Without stamps, the time in which no sample was taken, however late those
+    before came."""
 
     def __post_init__(self) -> None:
         for name, value in (("dt", self.dt), ("gap", self.gap)):

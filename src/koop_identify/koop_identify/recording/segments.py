@@ -32,24 +32,16 @@ from koop_identify.settings import READING
 
 @dataclass(frozen=True)
 class Segmentation:
-    """How samples become segments.
-
-    Attributes
-    ----------
-    way : str
-        `steps` or `linear`.
-    dt : float
-        Time between two states [s].
-    gap : float
-        Longest time between two samples that is bridged [s].
-    period : float
-        Mean time between two samples [s] if they are to be counted; 0: their time is known.
-    """
+    """How samples become segments."""
 
     way: str
+    """`steps` or `linear`."""
     dt: float
+    """Time between two states [s]."""
     gap: float
+    """Longest time between two samples that is bridged [s]."""
     period: float = 0.0
+    """Mean time between two samples [s] if they are to be counted; 0: their time is known."""
 
     def timed(self, batches: Iterable[Batch]) -> Iterator[Batch]:
         """Yield consecutive batches with the times that count for the segments."""

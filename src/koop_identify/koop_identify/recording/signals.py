@@ -17,44 +17,32 @@ from koop_identify.recording.segments import Segmentation
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals of a recording, one row a state, M in all.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the n channels.
-    dt : float
-        Time between two states [s].
-    way : str
-        How messages became states.
-    step : ndarray of int64, shape (M,)
-        Step of each state, increasing; of other messages as a lifter that joins counts, from 1.
-    t : ndarray, shape (M,)
-        Time [s]; of a loop step times dt, else from the first state.
-    begins : ndarray of bool, shape (M,)
-        Whether a state follows on none: the first, and after a gap.
-    measured, ground_truth : ndarray, shape (M, n)
-        x' and, if it was recorded, x; else of shape (M, 0).
-    r, theta : ndarray, shape (M,)
-        Recorded cost and control input; NaN where there is none; theta of n > 1 knobs (M, n).
-    limited : ndarray of bool, shape (M,), or None
-        Whether theta was at a limit; None if the bag does not say.
-    recorded : float
-        Time from the first to the last state, of all runs in the bag [s].
-    """
+    """Signals of a recording, one row a state, M in all."""
 
     names: tuple[str, ...]
+    """Names of the n channels."""
     dt: float
+    """Time between two states [s]."""
     way: str
+    """How messages became states."""
     step: NDArray[np.int64]
+    """Shape (M,): step of each state, increasing; of other messages as a lifter that joins counts,
+    from 1."""
     t: NDArray[np.float64]
+    """Shape (M,): time [s]; of a loop step times dt, else from the first state."""
     begins: NDArray[np.bool_]
+    """Shape (M,): whether a state follows on none: the first, and after a gap."""
     measured: NDArray[np.float64]
     ground_truth: NDArray[np.float64]
+    """Shape (M, n): x' and, if it was recorded, x; else of shape (M, 0)."""
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
+    """Shape (M,): recorded cost and control input; NaN where there is none; theta of n > 1 knobs
+    (M, n)."""
     limited: NDArray[np.bool_] | None
+    """Shape (M,): whether theta was at a limit; None if the bag does not say."""
     recorded: float
+    """Time from the first to the last state, of all runs in the bag [s]."""
 
     @property
     def has_theta(self) -> bool:
