@@ -3,8 +3,7 @@
 Theta is the proportional gain of its power loop: too little lets the power swing slowly, too much
 excites a fast mode. That of the phase-locked loop, ``kp_pll``, is a second knob; the two are
 coupled. The other gains are of DPsim's 400 V, 10 kVA example, whose line is shorter. ``--at`` sets
-``p_ref`` [W], which moves the optimum. DPsim's own modal analysis says at the end, and beside the
-map, how well damped the circuit is.
+``p_ref`` [W], which moves the optimum.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import random
 import tempfile
 from typing import Any
 
-import numpy as np
 from stand import Actuation, SimulatedRig, parse_rig, start
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
@@ -24,7 +22,6 @@ DT, STEPS = 1e-3, 5  # between two samples [s]; DPsim's steps within: another nu
 OMEGA, VOLTAGE, POWER = 2.0 * math.pi * 50.0, 400.0, 10e3  # [rad/s], [V], [W]
 KI, CURRENT = 0.2, (0.25, 1.0)  # integral gains; of the current loop
 FILTER = (2e-3, 10e-6, 0.2)  # [H], [F], [Ohm]
-CONNECTION, FINE = 2e-3, 2e-5  # of the modal analysis: resistance [Ohm], DPsim's step [s]
 RESISTANCE, INDUCTANCE = 0.3, 15e-3  # of the line [Ohm], [H]
 GRID = ((0.005, 0.02), (0.05, 0.5))  # noise of its magnitude [1] and angle [rad]; their memory [s]
 TRIP = 100e3  # power at which its protection would have opened [W]
@@ -66,13 +63,13 @@ class Inverter(SimulatedRig):
         self._inverter.set_filter_parameters(*FILTER)
         self._inverter.with_control(True)
         self._set_parameters()
-        self._parts, self._simulation = self._connect(self._inverter, [], DT / STEPS)
+        self._parts, self._simulation = self.connect(self._inverter, [], DT / STEPS)
         self._simulation.start()
         self._source = self._parts[-1].attr("V_ref")
         self._nominal = self._source.get()
         self._powers = [self._inverter.attr(name) for name in ("p_inst", "q_inst")]
 
-    def _connect(self, inverter: Any, ends: list[Any], step: float) -> tuple[list[Any], Any]:
+    def connect(self, inverter: Any, ends: list[Any], step: float) -> tuple[list[Any], Any]:
         """Connect an inverter, after other ends, to line and grid, in steady state.
 
         Returns all that must live as long as the simulation, and that.
@@ -107,38 +104,6 @@ class Inverter(SimulatedRig):
         simulation.set_solver(dp.Solver.MNA)
         simulation.do_init_from_nodes_and_terminals(True)
         return [system, nodes, *parts], simulation
-
-    def damping(self) -> tuple[float, float]:
-        """Return damping ratio and frequency [Hz] of the least damped mode that samples can show.
-
-        DPsim finds the modes at this theta in its state-space form of the inverter, in which a
-        small resistance is between filter and line. Below 0 the mode grows. The filter's own at
-        1.2 kHz is as it is at any theta.
-        """
-        dp, (kp, kp_pll) = self._dp, self._theta
-        inverter = dp.emt.ph3.SSN_GFL("SSN_GFL", "SSN_GFL", dp.LogLevel.off)
-        inverter.set_parameters(
-            *FILTER, CONNECTION, OMEGA, kp_pll, KI, OMEGA, self._power, 0.0, kp, KI, *CURRENT
-        )
-        _parts, simulation = self._connect(inverter, [dp.emt.SimNode.gnd], FINE)
-        simulation.do_system_matrix_recomputation(True)
-        simulation.do_state_space_extraction(True)
-        simulation.start()
-        simulation.next()
-        analysis = dp.StateSpaceModalAnalysis(simulation.get_state_space_extractor())
-        analysis.set_analysis_frame(dp.StateSpaceAnalysisFrame.GlobalDQ0)
-        analysis.set_global_dq0_frame(OMEGA)
-        analysis.update()
-        modes = np.ravel(analysis.get_continuous_eigenvalues())
-        modes = modes[np.abs(modes.imag) < math.pi / DT]
-        ratios = -modes.real / np.abs(modes)
-        least = int(np.argmin(ratios))
-        return float(ratios[least]), float(abs(modes[least].imag) / (2.0 * math.pi))
-
-    def judge(self) -> str:
-        """Return what DPsim's own analysis says of this theta."""
-        ratio, frequency = self.damping()
-        return f"DPsim's least damped mode: damping ratio {ratio:.2g} at {frequency:.3g} Hz"
 
     def _set_parameters(self) -> None:
         kp, kp_pll = self._theta

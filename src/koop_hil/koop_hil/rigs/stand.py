@@ -66,10 +66,6 @@ class SimulatedRig(Protocol):
         """Set what ``--at`` names; by default there is nothing."""
         raise ValueError(f"--at: this rig has no {name!r}")
 
-    def judge(self) -> str:
-        """Return what others say of theta as it is; empty: nobody does."""
-        return ""
-
 
 class Actuator:
     """Follows the command late, no faster than it can, within its stroke."""
@@ -140,8 +136,6 @@ def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
         rig.advance(t, *(actuator.move(command, answered) for actuator, command in moves))
     time.sleep(0.2)  # a reliable writer's last samples are still on their way
     print(f"{k} steps in {time.monotonic() - begin:.2f} s", flush=True)
-    if judgement := rig.judge():
-        print(judgement, flush=True)
 
 
 class TimedValue(NamedTuple):

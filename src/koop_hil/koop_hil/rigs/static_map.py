@@ -34,5 +34,4 @@ def print_map(args: argparse.Namespace) -> None:
         rig: SimulatedRig = args.make(args)
         samples = round(args.duration / rig.dt) or SAMPLES
         values = true_amplitudes(rig, samples)
-        row = [f"{value:10.4g}" for value in (theta, *values)]
-        print(*row, *filter(None, [rig.judge()]), flush=True)
+        print(*(f"{value:10.4g}" for value in (theta, *values)), flush=True)
