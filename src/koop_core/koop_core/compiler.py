@@ -19,6 +19,7 @@ from numba.extending import intrinsic, overload
 
 from koop_core.borrowed import borrowed, overlay
 from koop_core.foreign import call
+from koop_core.kernels import replace
 
 # A kernel that is inlined is copied block by block, with all its variables for each: a quarter of
 # the time that a kernel takes to compile. What is copied is used once, and can share them.
@@ -77,6 +78,14 @@ def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> An
 def signature_of(*arguments: Any) -> tuple[Any, ...]:
     """Return the types under which numba keeps the code for some arguments."""
     return tuple(numba.typeof(argument) for argument in arguments)
+
+
+@overload(replace, strict=False)  # its parameters are the fields
+def _replaced(state, **changes):  # type: ignore[no-untyped-def]
+    values = (name if name in changes else f"state.{name}" for name in state.fields)
+    space = {"made": state.instance_class}
+    exec(f"def made_of(state, {', '.join(changes)}): return made({', '.join(values)})", space)
+    return space["made_of"]
 
 
 @intrinsic

@@ -12,7 +12,7 @@ import pytest
 
 from koop_core.borrowed import borrowed
 from koop_core.config.parameter import Settings, constants, parameter
-from koop_core.kernels import direct, njit
+from koop_core.kernels import direct, njit, replace
 
 KERNELS = """
 from typing import NamedTuple
@@ -143,3 +143,22 @@ def test_a_kernel_takes_settings_as_constants_of_their_types() -> None:
 
     assert numba.njit(product)(0.3) == product(0.3) == 0.3 * 0.7 + 1
     assert (type(settings.share), type(settings.count)) == (float, int)
+
+
+class Level(NamedTuple):
+    mean: float
+    count: int
+    history: np.ndarray
+
+
+def test_a_kernel_replaces_fields_of_a_named_tuple_as_python_does_and_keeps_the_others():
+    @njit()
+    def take(level, x):
+        level = replace(level, count=level.count + 1, mean=0.5 * (level.mean + x))
+        return replace(level, history=level.history + x)
+
+    before = Level(1.0, 2, np.arange(3.0))
+    for after in (take(before, 4.0), take.py_func(before, 4.0)):
+        assert after[:2] == (2.5, 3)
+        assert after.history.tolist() == [4.0, 5.0, 6.0]
+    assert before.history.tolist() == [0.0, 1.0, 2.0]

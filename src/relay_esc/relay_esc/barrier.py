@@ -22,7 +22,7 @@ from functools import partial
 from typing import NamedTuple
 
 from koop_core.config.parameter import Settings, constants, parameter
-from koop_core.kernels import njit
+from koop_core.kernels import njit, replace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 from relay_esc.swing import gain
@@ -138,22 +138,13 @@ def answer(
     )
     if stays and state.epsilon != before.epsilon:  # the relay would turn away
         u = before.u + out * min(most, 0.0)
-        epsilon, since_flip, swing = before.epsilon, before.since_flip, before.swing
+        state = replace(
+            state, epsilon=before.epsilon, since_flip=before.since_flip, swing=before.swing
+        )
     else:
         u = before.u + out * min(out * (state.u - before.u), most)
-        epsilon, since_flip, swing = state.epsilon, state.since_flip, state.swing
-    u = min(max(u, relay.lowest(p, swing)), relay.highest(p, swing))
-    state = RelayState(
-        u,
-        epsilon,
-        state.cost_rise_filtered,
-        state.x_previous,
-        since_flip,
-        state.primed,
-        before.commanded,
-        before.output,
-        swing,
-    )
+    u = min(max(u, relay.lowest(p, state.swing)), relay.highest(p, state.swing))
+    state = replace(state, u=u)
     state = relay.command(p, state, relay.slew(before.commanded, u, p.largest_change))
     return state, barrier, False, relay.at_limit(p, state)
 

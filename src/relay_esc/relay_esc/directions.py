@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError, Settings, constants, parameter
-from koop_core.kernels import njit
+from koop_core.kernels import njit, replace
 from relay_esc import relay
 from relay_esc.elementary import exp
 from relay_esc.relay import MEMORY, RelayParams, RelayState, initial, slew
@@ -184,28 +184,10 @@ def along(p: RelayParams, k: Knobs, state: DirectionState) -> RelayParams:
             low, high = max(low, min(a, b)), min(high, max(a, b))
     if state.base.size > 1:  # the base itself lies inside, whatever rounding says
         low, high = min(low, 0.0), max(high, 0.0)
-    return RelayParams(
-        p.alpha, p.step_size, p.dwell_samples, low, high, low, high, p.sense, math.inf, p.settling,
-        p.adaptive, p.alpha_level, p.step_ratio, False, low, high, low, high,
+    return replace(
+        p, u_min=low, u_max=high, u_low=low, u_high=high, largest_change=math.inf,
+        logarithmic=False, theta_min=low, theta_max=high, theta_low=low, theta_high=high,
     )  # fmt: skip
-
-
-@njit(inline="always")
-def seeking(
-    state: DirectionState, relay_state: RelayState, active: int, legs: int
-) -> DirectionState:
-    """Return the state with another relay, direction and count of legs, and the same arrays."""
-    return DirectionState(
-        relay_state,
-        active,
-        legs,
-        state.base,
-        state.begin,
-        state.output,
-        state.directions,
-        state.own,
-        state.theta,
-    )
 
 
 @njit()
@@ -331,7 +313,7 @@ def switch(
     relay_state = RelayState(
         0.0, int(new[EPSILON]), 0.0, 0.0, -travel(k, state), False, 0.0, 0.0, swing
     )
-    return seeking(state, relay_state, active, 0)
+    return replace(state, relay=relay_state, active=active, legs=0)
 
 
 @njit()
@@ -372,7 +354,7 @@ def answer(
         line, before, arrival, switched, settling, r, hold_asked
     )
     legs = state.legs + (after.epsilon != before.epsilon)
-    state = seeking(state, after, state.active, legs)
+    state = replace(state, relay=after, legs=legs)
     if state.base.size == 1:
         state.output[0], state.theta[0] = after.commanded, after.output
         return state, holding, saturated

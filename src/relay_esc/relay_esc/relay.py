@@ -27,7 +27,7 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from koop_core.kernels import njit
+from koop_core.kernels import njit, replace
 from koop_core.stream.arrival import Arrival
 from relay_esc.elementary import exp, log
 from relay_esc.swing import (
@@ -196,27 +196,19 @@ def insight(p: RelayParams, state: RelayState) -> tuple[float, float, float]:
     return gradient, state.swing.noise, confidence(state.swing)
 
 
-@njit(inline="always")
-def recall(
-    state: RelayState, rise: float, x: float, since_flip: int, primed: bool, swing: Swing
-) -> RelayState:
-    """Return the state with another memory of the cost; theta and its direction stay."""
-    return RelayState(
-        state.u, state.epsilon, rise, x, since_flip, primed, state.commanded, state.output, swing
-    )
-
-
 @njit()
 def hold(state: RelayState) -> RelayState:
     """Keep theta and the filter; the next cost is not a jump."""
-    rise, x = state.cost_rise_filtered, state.x_previous
-    return recall(state, rise, x, state.since_flip, False, state.swing)
+    return replace(state, primed=False)
 
 
 @njit()
 def restart(state: RelayState, since_flip: int, swing: Swing) -> RelayState:
     """Keep theta and its direction; the filter is reset, the dwell time begins."""
-    return recall(state, 0.0, 0.0, since_flip, False, swing)
+    return replace(
+        state, cost_rise_filtered=0.0, x_previous=0.0, since_flip=since_flip, primed=False,
+        swing=swing,
+    )  # fmt: skip
 
 
 @njit(inline="always")
@@ -232,7 +224,7 @@ def take(p: RelayParams, state: RelayState, r: float) -> RelayState:
     rise = state.cost_rise_filtered
     if state.primed:
         rise = p.alpha * rise + (1.0 - p.alpha) * (p.sense * (x - state.x_previous))
-    return recall(state, rise, x, state.since_flip, True, swing)
+    return replace(state, cost_rise_filtered=rise, x_previous=x, primed=True, swing=swing)
 
 
 @njit(inline="always")
@@ -261,17 +253,7 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
     if p.adaptive and not p.u_low <= u <= p.u_high and is_lost(swing, since_flip, p.dwell_samples):
         swing = open_limits(swing, p.u_low - u, u - p.u_high)
     u = min(max(u, lowest(p, swing)), highest(p, swing))
-    return RelayState(
-        u,
-        epsilon,
-        after.cost_rise_filtered,
-        after.x_previous,
-        since_flip,
-        True,
-        state.commanded,
-        state.output,
-        swing,
-    )
+    return replace(after, u=u, epsilon=epsilon, since_flip=since_flip, swing=swing)
 
 
 @njit()
@@ -284,8 +266,7 @@ def usable(p: RelayParams, r: float) -> bool:
 def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Feed the filter with one cost, which may be unusable, while theta is still held."""
     after = take(p, state, r) if usable(p, r) else hold(state)
-    rise, x = after.cost_rise_filtered, after.x_previous
-    return recall(after, rise, x, state.since_flip + 1, after.primed, after.swing)
+    return replace(after, since_flip=state.since_flip + 1)
 
 
 @njit()
@@ -310,17 +291,8 @@ def highest(p: RelayParams, swing: Swing) -> float:
 def enter(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Feed the filter while theta is on its way to its limits."""
     after = wait(p, state, r)
-    return RelayState(
-        min(max(state.u, lowest(p, state.swing)), highest(p, state.swing)),
-        state.epsilon,
-        after.cost_rise_filtered,
-        after.x_previous,
-        min(after.since_flip, 0),
-        after.primed,
-        state.commanded,
-        state.output,
-        after.swing,
-    )
+    u = min(max(state.u, lowest(p, state.swing)), highest(p, state.swing))
+    return replace(after, u=u, since_flip=min(after.since_flip, 0))
 
 
 @njit()
@@ -342,8 +314,7 @@ def respond(
     elif switched:
         state = restart(state, min(state.since_flip, 0), OPEN)
     elif settling:  # the filter still knows how the cost went before it was lost
-        rise, x = state.cost_rise_filtered, state.x_previous
-        state = recall(state, rise, x, min(state.since_flip, 0), False, state.swing)
+        state = replace(state, since_flip=min(state.since_flip, 0), primed=False)
     elif arrival == Arrival.RESUME:
         state = restart(state, min(state.since_flip, 0), forget_leg(state.swing))
     if outside(p, state) and not hold_asked:
@@ -419,17 +390,8 @@ def answer(
 @njit(inline="always")
 def command(p: RelayParams, state: RelayState, commanded: float) -> RelayState:
     """Give out a control input [u]."""
-    return RelayState(
-        state.u,
-        state.epsilon,
-        state.cost_rise_filtered,
-        state.x_previous,
-        state.since_flip,
-        state.primed,
-        commanded,
-        theta_of(p, commanded) if p.logarithmic else commanded,
-        state.swing,
-    )
+    output = theta_of(p, commanded) if p.logarithmic else commanded
+    return replace(state, commanded=commanded, output=output)
 
 
 @njit(inline="always")

@@ -28,7 +28,7 @@ from functools import partial
 from typing import NamedTuple
 
 from koop_core.config.parameter import Settings, constants, judged, parameter
-from koop_core.kernels import njit
+from koop_core.kernels import njit, replace
 
 GOLDEN = 0.6180339887498949
 studied = partial(parameter, origin="koop study laws at commit be69197")
@@ -142,41 +142,6 @@ OPEN = Swing(
 """Full step, nothing known; the relay of the paper never leaves it."""
 
 
-@njit(inline="always")
-def in_leg(
-    swing: Swing,
-    factor: float,
-    short: int,
-    level: float,
-    begin: float,
-    lowest: float,
-    cost: float,
-    rise: float,
-) -> Swing:
-    """Return the swing with another step and another leg; what earlier legs showed stays."""
-    return Swing(
-        factor,
-        swing.stretch,
-        level,
-        begin,
-        lowest,
-        swing.lowest_before,
-        swing.reference,
-        swing.noise,
-        swing.dip,
-        swing.legs,
-        short,
-        swing.turned,
-        swing.centre,
-        swing.centred,
-        cost,
-        rise,
-        swing.below,
-        swing.beyond,
-        swing.calm,
-    )
-
-
 @njit()
 def follow(
     swing: Swing, alpha_level: float, x: float, alpha: float, cost: float, primed: bool
@@ -190,21 +155,19 @@ def follow(
     level = x if first else alpha_level * swing.level + (1.0 - alpha_level) * x
     rise = alpha * swing.rise + (1.0 - alpha) * (cost - swing.cost) if primed else swing.rise
     begin, lowest = level if first else swing.begin, min(swing.lowest, level)
-    return in_leg(swing, swing.factor, swing.short, level, begin, lowest, cost, rise)
+    return replace(swing, level=level, begin=begin, lowest=lowest, cost=cost, rise=rise)
 
 
 @njit()
 def forget_leg(swing: Swing) -> Swing:
     """Leave out what the cost did before a silence: level and rise begin with the next cost."""
-    return in_leg(swing, swing.factor, 0, 0.0, 0.0, math.inf, 0.0, 0.0)
+    return replace(swing, short=0, level=0.0, begin=0.0, lowest=math.inf, cost=0.0, rise=0.0)
 
 
 @njit()
 def widen(swing: Swing) -> Swing:
     """Double the step: the leg is long."""
-    factor = min(1.0, swing.factor * SWING.grow)
-    level, begin, lowest = swing.level, swing.begin, swing.lowest
-    return in_leg(swing, factor, 0, level, begin, lowest, swing.cost, swing.rise)
+    return replace(swing, factor=min(1.0, swing.factor * SWING.grow), short=0)
 
 
 @njit()
@@ -268,28 +231,12 @@ def turn(swing: Swing, length: float, u: float, least: float, inside: bool) -> S
     stretch = 1.0
     if factor >= SWING.wide:
         stretch += SWING.stretch * (swing.legs * GOLDEN % 1.0)
-    level = swing.level
-    return Swing(
-        factor,
-        stretch,
-        level,
-        level,
-        level,
-        lowest,
-        reference,
-        noise,
-        dip,
-        swing.legs + 1,
-        short,
-        u,
-        centre,
-        centred,
-        swing.cost,
-        swing.rise,
-        below,
-        beyond,
-        calm,
-    )
+    return replace(
+        swing, factor=factor, stretch=stretch, begin=swing.level, lowest=swing.level,
+        lowest_before=lowest, reference=reference, noise=noise, dip=dip, legs=swing.legs + 1,
+        short=short, turned=u, centre=centre, centred=centred, below=below, beyond=beyond,
+        calm=calm,
+    )  # fmt: skip
 
 
 @njit(inline="always")
@@ -302,27 +249,7 @@ def is_lost(swing: Swing, since_flip: int, dwell_samples: int) -> bool:
 @njit()
 def open_limits(swing: Swing, below: float, beyond: float) -> Swing:
     """Open the limits so far [u], where they are not."""
-    return Swing(
-        swing.factor,
-        swing.stretch,
-        swing.level,
-        swing.begin,
-        swing.lowest,
-        swing.lowest_before,
-        swing.reference,
-        swing.noise,
-        swing.dip,
-        swing.legs,
-        swing.short,
-        swing.turned,
-        swing.centre,
-        swing.centred,
-        swing.cost,
-        swing.rise,
-        max(swing.below, below),
-        max(swing.beyond, beyond),
-        swing.calm,
-    )
+    return replace(swing, below=max(swing.below, below), beyond=max(swing.beyond, beyond))
 
 
 @njit()
