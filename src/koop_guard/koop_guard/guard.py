@@ -191,12 +191,6 @@ class Guard:
         return self.theta == self.target
 
     @property
-    def reason(self) -> str:
-        """Why theta returns to theta_safe; empty: it does not."""
-        tripped = self.status is Status.TRIPPED and self.trip is not None
-        return self.trip.reason if tripped and self.trip is not None else ""
-
-    @property
     def at_safe(self) -> bool:
         """Whether theta is at theta_safe for good, until a rearm."""
         return self.status is Status.TRIPPED and self.theta == self.target

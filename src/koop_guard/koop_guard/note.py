@@ -7,26 +7,18 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from koop_core.config.knobs import format_knobs
 from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_core.whole_file import read_json, write_json
+from koop_guard.config import RigLimits
 from koop_guard.guard import Trip
 
 THETA_LEFT = "theta is left at"  # begins the last words of guard and twin
 TWIN = "koop_guard_twin/"  # begins the name that a twin holds; its guard's process ends it
 PERIOD = 1.0  # [s] between two notes while nothing trips
-
-
-class Rig(Protocol):
-    """What of a rig the note is of, and what bounds it."""
-
-    @property
-    def command(self) -> str: ...
-    def each(self, name: str) -> tuple[float, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -86,7 +78,7 @@ def read(path: Path | str | None) -> Note | None:
 
 
 def find_theta(
-    path: Path | str | None, rig: Rig, publishers: Collection[str]
+    path: Path | str | None, rig: RigLimits, publishers: Collection[str]
 ) -> tuple[tuple[float, ...], str]:
     """Return the present value of theta of each knob, and a remark on it, if there is any.
 
@@ -97,7 +89,7 @@ def find_theta(
     ----------
     path : Path, str or None
         File of :func:`note_of`.
-    rig : Rig
+    rig : RigLimits
         The rig.
     publishers : collection of str
         Ids of the rig's publishers now.
