@@ -32,7 +32,7 @@ USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
-def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> int:
+def run(node_class: type[ManagedNode[Any]]) -> int:
     """Run a node until it finishes or the process is told to stop; with ``--help`` print its.
 
     The node's constructor needs no argument.
@@ -42,20 +42,20 @@ def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> in
     int
         Exit code: 0 after a clean end, 1 if the node failed, 2 if it could not start.
     """
-    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+    if {"-h", "--help"} & set(sys.argv[1:]):
         print(help_of(node_class, sys.argv[0]))
         return 0
 
     def make() -> list[ManagedNode[Any]]:
-        refuse_other_arguments(args)
+        if rest := remove_ros_args()[1:]:  # rclpy would ignore them
+            raise InputError(f"unknown argument {' '.join(rest)}; {USAGE}")
         return [node_class()]  # type: ignore[call-arg]
 
-    return run_nodes(make, args)
+    return run_nodes(make)
 
 
 def run_nodes(
     make: Callable[[], list[ManagedNode[Any]]],
-    args: list[str] | None = None,
     find_stages: Callable[[list[ManagedNode[Any]]], list[Stages]] = stages_of_one,
 ) -> int:
     """Run nodes on one executor until one finishes or the process is told to stop.
@@ -81,7 +81,7 @@ def run_nodes(
         end_with_parent()
         set_dds_profile()
         try:
-            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             nodes = make()
             priority = max((node.parameters[NodeConfig].priority for node in nodes), default=0)
         except Exception as error:  # whatever the start-up raises, the user gets one line
@@ -152,14 +152,6 @@ def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:
         words = program.name
     purpose = " ".join(inspect.cleandoc(node_class.__doc__ or "").split("\n\n")[0].split())
     return help_text(words, purpose, node_class.config_classes())
-
-
-def refuse_other_arguments(args: list[str] | None = None) -> None:
-    """Raise InputError on arguments besides ROS's own, which rclpy would ignore."""
-    rest = remove_ros_args(args)
-    rest = rest[1:] if args is None else rest
-    if rest:
-        raise InputError(f"unknown argument {' '.join(rest)}; {USAGE}")
 
 
 def _one_line(error: Exception) -> str:
