@@ -251,6 +251,24 @@ class Listening(NamedTuple):
     cursor: NDArray[np.int64]
 
 
+class Senses(NamedTuple):
+    """What a watch hears with.
+
+    Attributes
+    ----------
+    ear : Listening
+        Samples in which the oscillation is looked for.
+    threshold : float
+        S that is a change; infinite while the oscillation is not found.
+    spectrum : Spectrum
+        Of the windows, once it is.
+    """
+
+    ear: Listening
+    threshold: float
+    spectrum: Spectrum
+
+
 @njit()
 def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
     """Take a measured state, shape (n,); what is full takes no more."""
@@ -275,20 +293,21 @@ def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
 
 
 @njit()
-def listen_all(ear: Listening, steps: NDArray[np.int64], states: NDArray[np.float64]) -> None:
-    """Take measured states, shape (M, n), of so many steps."""
-    for i in range(steps.shape[0]):
-        listen(ear, steps[i], states[i])
+def hear(senses: Senses, tally: Tally, step: int, x: NDArray[np.float64]) -> Tally:
+    """Take a measured state, shape (n,); return the tally after it."""
+    listen(senses.ear, step, x)
+    if senses.threshold < math.inf:
+        return follow(senses.threshold, senses.spectrum, tally, step, x)
+    return tally
 
 
 @njit()
-def follow_all(
-    threshold: float, spectrum: Spectrum, tally: Tally, steps: NDArray[np.int64],
-    states: NDArray[np.float64],
-) -> Tally:  # fmt: skip
+def hear_all(
+    senses: Senses, tally: Tally, steps: NDArray[np.int64], states: NDArray[np.float64]
+) -> Tally:
     """Take measured states, shape (M, n), of so many steps; return the tally after them."""
     for i in range(steps.shape[0]):
-        tally = follow(threshold, spectrum, tally, steps[i], states[i])
+        tally = hear(senses, tally, steps[i], states[i])
     return tally
 
 
@@ -324,25 +343,26 @@ class Watch:
         Number of measured values.
     dt : float
         Sampling time [s].
+
+    Attributes
+    ----------
+    senses : Senses
+        What :func:`hear` needs.
+    tally : Tally
+        What the windows so far say; whoever calls :func:`hear` sets it.
     """
 
     def __init__(self, channels: int, dt: float) -> None:
         self.channels, self._dt = channels, dt
         self._steps, self._states = np.zeros(BLOCK, np.int64), np.zeros((BLOCK, channels))
-        block = self._steps, self._states
-        ear = Listening(np.zeros((1, channels)), np.zeros(channels), np.zeros(4, np.int64))
-        self._listen = direct(listen_all, ear, *block)
-        self._follow = direct(follow_all, 1.0, spectrum(9, channels), Tally(), *block)
         self.begin()
+        self._hear = direct(hear_all, self.senses, Tally(), self._steps[:0], self._states)
 
     def begin(self) -> None:
         """Forget what is known."""
         n = self.channels
-        self._listening = Listening(
-            np.zeros((WATCH.listened, n)), np.zeros(n), np.array([0, 1, 0, 0])
-        )
-        self._spectrum: Spectrum | None = None
-        self._tally, self._threshold, self._count = Tally(), 0.0, 0
+        ear = Listening(np.zeros((WATCH.listened, n)), np.zeros(n), np.array([0, 1, 0, 0]))
+        self.senses, self.tally, self._count = Senses(ear, math.inf, spectrum(9, n)), Tally(), 0
         self._last: NDArray[np.float64] = np.zeros(0)  # power by bin of the last spectrum
         self._most: NDArray[np.float64] = np.zeros(0)  # the most of all before it
         self._scale: NDArray[np.float64] = np.ones(n)
@@ -350,12 +370,12 @@ class Watch:
     @property
     def frequency(self) -> float | None:
         """Mean frequency of the last windows [Hz]; None while the oscillation is looked for."""
-        return None if self._spectrum is None else self._hertz(self._tally.mean)
+        return self._hertz(self.tally.mean) if self.senses.threshold < math.inf else None
 
     @property
     def learned(self) -> bool:
         """Whether the known range is learned."""
-        return self._tally.windows >= WATCH.known
+        return self.tally.windows >= WATCH.known
 
     def take(self, step: int, x: NDArray[np.float64]) -> Change | None:
         """Take a measured state, shape (n,); a block of them is looked at at once."""
@@ -368,24 +388,22 @@ class Watch:
         """Look at what has been taken."""
         block = self._steps[: self._count], self._states[: self._count]
         self._count = 0
-        self._listen(self._listening, *block)
-        if self._spectrum is None:
-            return None
-        self._tally = t = self._follow(self._threshold, self._spectrum, self._tally, *block)
-        return self.judge() if max(t.above.s, t.below.s) > self._threshold else None
+        self.tally = self._hear(self.senses, self.tally, *block)
+        sides = self.tally.above.s, self.tally.below.s
+        return self.judge() if max(sides) > self.senses.threshold else None
 
     def look(self) -> Change | None:
         """Look at the spectrum where enough was heard: some milliseconds now and then."""
-        rows, _, cursor = self._listening
+        rows, _, cursor = self.senses.ear
         if cursor[0] < len(rows):
             return None
-        if self._spectrum is not None:
+        if self.senses.threshold < math.inf:
             return self._compare(self._power())
         self._look_for_oscillation()
         return None
 
     def _look_for_oscillation(self) -> None:
-        rows, _, cursor = self._listening
+        rows, _, cursor = self.senses.ear
         size = len(rows)
         dt = float(cursor[1]) * self._dt
         try:
@@ -404,18 +422,19 @@ class Watch:
     def _follow_line(self, frequency: float) -> None:
         """Learn what is known of an oscillation of a frequency [Hz]."""
         segment = max(round(2.0 / (frequency * self._dt)), 1)
-        self._spectrum, self._tally = spectrum(segment, self.channels), Tally()
-        self._threshold = math.log(max(DAY / (segment * self._dt), 10.0))
+        threshold = math.log(max(DAY / (segment * self._dt), 10.0))
+        self.senses = Senses(self.senses.ear, threshold, spectrum(segment, self.channels))
+        self.tally = Tally()
 
     def _power(self) -> NDArray[np.float64]:
         """Return the power by bin of what was listened to, and listen again."""
-        rows, _, cursor = self._listening
+        rows, _, cursor = self.senses.ear
         cursor[0] = 0
         return window_powers((rows / self._scale).T, len(rows) // AVERAGED).sum(axis=1)
 
     def _compare(self, power: NDArray[np.float64]) -> Change | None:
         """Compare a spectrum with those before it; return a jump of the oscillation."""
-        (rows, _, cursor), t, most = self._listening, self._tally, self._most
+        (rows, _, cursor), t, most = self.senses.ear, self.tally, self._most
         if self.learned:
             low, high = self._hertz(t.low), self._hertz(t.high)
             own = 0.5 * (low + high)
@@ -437,22 +456,12 @@ class Watch:
         self._most, self._last = np.maximum(most, self._last), power
         return None
 
-    def lend(self) -> tuple[bool, Listening, float, Spectrum, Tally]:
-        """Return what :func:`listen` and :func:`follow` need, and whether that is called yet."""
-        follows = self._spectrum is not None
-        silent = self._spectrum or spectrum(9, self.channels)
-        return follows, self._listening, self._threshold, silent, self._tally
-
-    def take_back(self, tally: Tally) -> None:
-        """Take the tally after :func:`follow`."""
-        self._tally = tally
-
     def judge(self) -> Change:
         """Return the change that the phases show, and learn again what is known.
 
         A line that they tell is followed on: what is listened to may hold stronger ones by now.
         """
-        t = self._tally
+        t = self.tally
         after, end = (t.above.e, t.high) if t.above.s > t.below.s else (t.below.e, t.low)
         change = Change(self._hertz(end), self._hertz(after if abs(after) <= TOLD else math.nan))
         if math.isnan(change.after):
@@ -462,5 +471,4 @@ class Watch:
         return change
 
     def _hertz(self, e: float) -> float:
-        assert self._spectrum is not None
-        return float(2.0 * (1.0 + e) / (self._spectrum.cursor[1] * self._dt))
+        return float(2.0 * (1.0 + e) / (self.senses.spectrum.cursor[1] * self._dt))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rclpy.parameter import Parameter
 
 from koop_core.config.constraint import Constraint
-from koop_core.config.fields import Source, check_fields, read_field
+from koop_core.config.fields import Source, read_field
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.port import NO_PORT
@@ -60,16 +60,10 @@ class ForeignSource:
     """A rig that speaks another message than MeasuredState."""
 
     def __init__(self, source: Source, dt: float) -> None:
-        self.topic, self._fields = source.topic, source.fields
+        self.topic, self.fields = source.topic, source.fields
         self.adapter = StateAdapter(source, dt)
         self.publisher: Writer | None = None  # of 'state', while the node is active
         self._early = self._taken = 0
-
-    def take_type(self, name: str) -> Any:
-        """Return the message class of a type; raise ConfigError if it lacks the fields."""
-        kind = message_type(name)
-        check_fields(self._fields, kind())
-        return kind
 
     def convert(self, message: Any) -> MeasuredState:
         """Publish what the rig measured as 'state', for recording and replay, and return it."""
@@ -102,8 +96,7 @@ class BoundedSignal:
         """Hear the signal once it is published, and ``then`` go on."""
 
         def listen_to(name: str) -> None:
-            kind = message_type(name)
-            check_fields(self._source.fields, kind())
+            kind = message_type(name, self._source.fields)
             entities.subscription(kind, self._source.topic, self._hear, BEST_EFFORT)
             then()
 
@@ -168,7 +161,7 @@ class LifterRun(Run):
 
         def listen_to(name: str) -> None:
             assert foreign is not None
-            kind = foreign.take_type(name)
+            kind = message_type(name, foreign.fields)
             qos = RELIABLE if kind is MeasuredState else BEST_EFFORT
             entities.dated_subscription(kind, foreign.topic, self._on_foreign, qos)
 
@@ -313,19 +306,17 @@ class LifterRun(Run):
         if watched != self._watch.channels:  # what it looks at is written by its number
             self._begin_watch(watched)
         self._note(self._watch.settle())
-        follows, ear, threshold, spectrum, tally = self._watch.lend()
         stage = LifterStage(
             source, target, self._source, self._loaded.lifting, self._detector, self._loaded.work,
-            np.zeros(self._n), np.zeros(watched), follows, ear, threshold, spectrum,
-            self._kept,
+            np.zeros(self._n), np.zeros(watched), self._watch.senses, self._kept,
         )  # fmt: skip
-        return stage, LifterProgress(answer.step, self._state, tally)
+        return stage, LifterProgress(answer.step, self._state, self._watch.tally)
 
     def take_back(self, before: LifterProgress, after: LifterProgress, now: float) -> None:
         """Go on where the compiled code ended."""
         if (count := after.step - before.step) and self._publisher is not None:
             self._state, self._answer = after.detector, self._publisher.last()
-            self._watch.take_back(after.tally)
+            self._watch.tally = after.tally
             stamp = to_seconds(self._answer.header.stamp)
             self._input.follow_on(count, stamp, now)
 

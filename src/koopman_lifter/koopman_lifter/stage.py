@@ -27,7 +27,7 @@ from koop_core.port import (
 from koop_core.stream.arrival import Arrival
 from koopman_lifter import candidate, change, cost
 from koopman_lifter.candidate import Samples
-from koopman_lifter.change import Listening, Spectrum, Tally
+from koopman_lifter.change import Senses, Tally
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 
 STATE = ("step", "lockstep", "x")
@@ -47,8 +47,8 @@ class LifterStage(NamedTuple):
         Measured state.
     seen : ndarray, shape (1,) or (channels,)
         What the watch looks at: the contrast if there is one, else the state.
-    follows : bool
-        Whether the watch has found the oscillation.
+    senses : Senses
+        Of the watch.
     kept : Samples
         What a candidate is learned from.
     """
@@ -61,10 +61,7 @@ class LifterStage(NamedTuple):
     work: Workspace
     sample: NDArray[np.float64]
     seen: NDArray[np.float64]
-    follows: bool
-    ear: Listening
-    threshold: float
-    spectrum: Spectrum
+    senses: Senses
     kept: Samples
 
 
@@ -100,7 +97,7 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
     if not send(answer):
         return FAILED, progress
     candidate.keep(stage.kept, step, sample)
-    seen, tally = stage.seen, progress.tally
+    seen = stage.seen
     if stage.source == cost.LIFTED and stage.lifting.projector.shape[0] == 1:
         seen[0] = 0.0
         for i in range(work.z.size):
@@ -109,11 +106,9 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
         for i in range(sample.size):
             seen[i] = sample[i]
     reason = MORE
-    change.listen(stage.ear, step, seen)
-    if stage.follows:
-        tally = change.follow(stage.threshold, stage.spectrum, tally, step, seen)
-        if max(tally.above.s, tally.below.s) > stage.threshold:
-            reason = CHANGED
+    tally = change.hear(stage.senses, progress.tally, step, seen)
+    if max(tally.above.s, tally.below.s) > stage.senses.threshold:
+        reason = CHANGED
     if math.isnan(r):
         reason = UNUSABLE
     return reason, LifterProgress(step, detector, tally)
