@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from koop_core.config.fields import (
-    check_fields,
     format_field,
     numbers_of,
     read_field,
@@ -140,7 +139,7 @@ def find_types(client: Client, rig: RigFile) -> tuple[str, list[str]]:
             )
         try:
             kind = message_type_of(source.topic, endpoints)
-            check_fields(source.fields, message_type(kind)())
+            message_type(kind, source.fields)
         except KoopError as error:
             raise type(error)(f"{key}: {error}") from None
         types.append(kind)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from koop_commission.fitness.samples import Samples
-from koop_core.config.fields import Path, Source, check_fields, read_field
+from koop_core.config.fields import Path, Source, read_field
 from koop_node.client.client import Client
 
 
@@ -47,8 +47,7 @@ class Listener:
         from koop_node.node.managed import message_type
         from koop_node.node.qos import BEST_EFFORT, RELIABLE
 
-        message = message_type(kind)
-        check_fields(paths, message())
+        message = message_type(kind, paths)
         self.source, self.kind = Source(topic, paths), kind
         self._arrival, self._stamp, self._x = array("d"), array("d"), array("d")
         self._step = array("q")

@@ -13,7 +13,6 @@ from koop_msgs.msg import ControlInput, Cost, GuardState, MeasuredState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from koop_core.config.fields import check_fields
 from koop_core.config.knobs import format_knobs
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
@@ -29,6 +28,7 @@ from koop_node.node.adapter import StateAdapter
 from koop_node.node.graph import Listeners, full_name, publishers_of, subscribers_of
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, KEPT, RELIABLE
+from koop_node.node.stamps import to_seconds
 
 LOOK = 1.0  # [s] between two looks at the graph
 
@@ -85,8 +85,7 @@ class GuardRun(Run):
             entities.when_typed(publishers_of, source.topic, lambda name: listen(name, kinds))
 
         def listen(name: str, kinds: Sequence[str]) -> None:
-            state = message_type(name)
-            check_fields(source.fields, state())
+            state = message_type(name, source.fields)
             self._counts_steps = state is MeasuredState
             infos = publishers_of(self._node, source.topic)
             self._ids = sorted(bytes(info.endpoint_gid).hex() for info in infos)
@@ -224,7 +223,7 @@ class GuardRun(Run):
             step = message.step
         header = getattr(message, "header", None)
         stamp = getattr(header, "stamp", None)
-        if self._states.hear(step, _seconds(stamp), now, written) is Arrival.TOO_OLD:
+        if self._states.hear(step, to_seconds(stamp), now, written) is Arrival.TOO_OLD:
             return  # no run has such a step, and neither the twin nor the rig could be told of it
         self._header, self._last = header, (max(step, 0), now)
         if self._counts_steps:
@@ -264,7 +263,7 @@ class GuardRun(Run):
         now = time.monotonic()
         if self._command is None:
             return
-        arrival = self._answers.hear(answer.step, _seconds(answer.header.stamp), now, written)
+        arrival = self._answers.hear(answer.step, to_seconds(answer.header.stamp), now, written)
         if arrival is Arrival.LATE or (self._to_target and self._target):
             return
         old = arrival is Arrival.TOO_OLD or self._is_past(answer)
@@ -281,8 +280,8 @@ class GuardRun(Run):
 
     def _is_past(self, answer: Any) -> bool:
         """Return whether an answer is to a state of long ago, by the rig's own stamps."""
-        newest = _seconds(getattr(self._header, "stamp", None))
-        stamp = _seconds(answer.header.stamp)
+        newest = to_seconds(getattr(self._header, "stamp", None))
+        stamp = to_seconds(answer.header.stamp)
         return bool(newest and stamp) and newest - stamp > self._silence * self._config.pace
 
     def _on_tick(self) -> None:
@@ -443,10 +442,6 @@ def _asked_to_end() -> int:
     """Return the signal that asked this process to end; 0: none."""
     current = schedule.current()
     return current.asked if current is not None else 0
-
-
-def _seconds(stamp: Any) -> float:
-    return stamp.sec + 1e-9 * stamp.nanosec if hasattr(stamp, "nanosec") else 0.0
 
 
 class GuardNode(ManagedNode[GuardRun]):

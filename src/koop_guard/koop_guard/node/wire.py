@@ -8,7 +8,7 @@ from typing import Any
 
 from koop_msgs.msg import ControlInput
 
-from koop_core.config.fields import Source, check_fields, write_field
+from koop_core.config.fields import Source, write_field
 from koop_core.config.knobs import format_knobs
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Guard
@@ -42,9 +42,8 @@ class Command:
     ) -> None:
         self._messages, self.publishers = [], []
         for source, name in zip(sources, kinds, strict=True):
-            kind = message_type(name)
+            kind = message_type(name, source.fields)
             self._messages.append((kind(), source.fields))
-            check_fields(source.fields, self._messages[-1][0])
             qos = RELIABLE if kind is ControlInput else NEWEST
             self.publishers.append(create(kind, source.topic, qos))
 

@@ -1,4 +1,4 @@
-"""Numbers steps for rigs whose messages carry none. Pure: no ROS."""
+"""Numbers steps for rigs whose messages carry none."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 from koop_core.config.fields import Source, read_field
 from koop_core.stream.settings import STREAM
+from koop_node.node.stamps import to_seconds
 
 
 class StepCounter:
@@ -58,6 +59,6 @@ class StateAdapter:
 
     def convert(self, message: Any) -> tuple[int, list[float]]:
         """Return the step and the state, NaN where the message has no such number."""
-        stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
-        seconds = stamp.sec + 1e-9 * stamp.nanosec if hasattr(stamp, "nanosec") else 0.0
-        return self._steps.next(seconds), [read_field(path, message) for path in self._fields]
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        step = self._steps.next(to_seconds(stamp))
+        return step, [read_field(path, message) for path in self._fields]

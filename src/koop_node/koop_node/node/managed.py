@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 
-from koop_core.config.fields import check_type
+from koop_core.config.fields import Path, check_fields, check_type
 from koop_core.config.parameter import ConfigError, NodeConfig
 from koop_core.errors import KoopError
 from koop_core.kernels import Kernel
@@ -33,15 +33,20 @@ __all__ = ["ERROR", "OK", "STALE", "WARN", "Entities", "ManagedNode", "Run", "me
 REPORT_PERIOD = 1.0  # [s]
 
 
-def message_type(name: str) -> Any:
-    """Return the class of ``pkg/msg/Type``; raise ConfigError if it is not installed."""
-    package, _, kind = check_type(name).split("/")
+def message_type(name: str, fields: tuple[Path, ...] = ()) -> Any:
+    """Return the class of ``pkg/msg/Type``.
+
+    Raises ConfigError if it is not installed, or has not one of the fields as a number.
+    """
+    package, _, word = check_type(name).split("/")
     try:
-        return getattr(import_module(f"{package}.msg"), kind)
+        kind = getattr(import_module(f"{package}.msg"), word)
     except (ImportError, AttributeError):
         raise ConfigError(
             f"message type {name} is not installed: build its package and source it"
         ) from None
+    check_fields(fields, kind())
+    return kind
 
 
 class Run:

@@ -8,8 +8,8 @@ from builtin_interfaces.msg import Time
 
 
 def to_seconds(stamp: Any) -> float:
-    """Return a stamp in seconds."""
-    return float(stamp.sec + 1e-9 * stamp.nanosec)
+    """Return a stamp in seconds; 0 for what is none."""
+    return float(stamp.sec + 1e-9 * stamp.nanosec) if hasattr(stamp, "nanosec") else 0.0
 
 
 def to_stamp(nanoseconds: int) -> Time:
