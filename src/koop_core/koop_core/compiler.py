@@ -19,7 +19,7 @@ from numba.extending import intrinsic, overload
 
 from koop_core.borrowed import borrowed, overlay
 from koop_core.foreign import call
-from koop_core.kernels import replace
+from koop_core.named_tuple import replace
 
 # A kernel that is inlined is copied block by block, with all its variables for each: a quarter of
 # the time that a kernel takes to compile. What is copied is used once, and can share them.

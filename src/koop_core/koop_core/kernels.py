@@ -13,9 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property, partial, update_wrapper
-from typing import Any, TypeVar
-
-State = TypeVar("State")
+from typing import Any
 
 
 class Kernel:
@@ -45,15 +43,6 @@ class Kernel:
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Kernel]:
     """Compile a function, and keep it, as ``numba.njit(cache=True)`` does with these options."""
     return partial(Kernel, options)
-
-
-def replace(state: State, **changes: Any) -> State:
-    """Return a named tuple with other values of some fields, as its ``_replace``; in kernels, too.
-
-    A value must have its field's type: 0.0, not 0, for a float.
-    """
-    replaced: State = state._replace(**changes)  # type: ignore[attr-defined]
-    return replaced
 
 
 def direct(kernel: Kernel, *arguments: Any) -> Callable[..., Any]:

@@ -12,7 +12,8 @@ import pytest
 
 from koop_core.borrowed import borrowed
 from koop_core.config.parameter import Settings, constants, parameter
-from koop_core.kernels import direct, njit, replace
+from koop_core.kernels import direct, njit
+from koop_core.named_tuple import replace
 
 KERNELS = """
 from typing import NamedTuple

@@ -22,7 +22,8 @@ from functools import partial
 from typing import NamedTuple
 
 from koop_core.config.parameter import Settings, constants, parameter
-from koop_core.kernels import njit, replace
+from koop_core.kernels import njit
+from koop_core.named_tuple import replace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 from relay_esc.swing import gain

@@ -32,7 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError, Settings, constants, parameter
-from koop_core.kernels import njit, replace
+from koop_core.kernels import njit
+from koop_core.named_tuple import replace
 from relay_esc import relay
 from relay_esc.elementary import exp
 from relay_esc.relay import MEMORY, RelayParams, RelayState, initial, slew

@@ -27,7 +27,8 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from koop_core.kernels import njit, replace
+from koop_core.kernels import njit
+from koop_core.named_tuple import replace
 from koop_core.stream.arrival import Arrival
 from relay_esc.elementary import exp, log
 from relay_esc.swing import (

@@ -28,7 +28,8 @@ from functools import partial
 from typing import NamedTuple
 
 from koop_core.config.parameter import Settings, constants, judged, parameter
-from koop_core.kernels import njit, replace
+from koop_core.kernels import njit
+from koop_core.named_tuple import replace
 
 GOLDEN = 0.6180339887498949
 studied = partial(parameter, origin="koop study laws at commit be69197")
