@@ -4,31 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-from koop_bringup.live.monitor import Monitor
 from koop_core.config.parameter import ConfigError, mapping
 from koop_hil import faults
 from koop_identify.recording.recorded_parameters import CONTROLLER
 
 NODES = ("plant", *CONTROLLER)
-TICK = 0.02  # [s] between looks at the clock
-
-
-class Started(Protocol):
-    """The processes of a scenario, :class:`koop_hil.processes.Processes`."""
-
-    def start(self, name: str) -> None: ...
-    def kill(self, name: str) -> None: ...
-    def pause(self, name: str, paused: bool) -> None: ...
-    def link(self, up: bool) -> None: ...
-
-
-class Loop(NamedTuple):
-    """The running loop, on which actions act."""
-
-    monitor: Monitor
-    processes: Started
 
 
 class Action(NamedTuple):
@@ -39,14 +21,15 @@ class Action(NamedTuple):
     check : callable
         Returns what the event is about as it is used, given it and the scenario's folder.
     begin, end : callable
-        Do it, and undo it when the event is over, given the loop and what it is about.
+        Do it, and undo it when the event is over, given the scenario's
+        :class:`koop_hil.processes.Processes` and what it is about.
     publishers : bool
         Whether topics then have more publishers for a while than usual.
     """
 
     check: Callable[[Any, Path], Any]
-    begin: Callable[[Loop, Any], None]
-    end: Callable[[Loop, Any], None] = lambda loop, what: None
+    begin: Callable[[Any, Any], None]
+    end: Callable[[Any, Any], None] = lambda loop, what: None
     publishers: bool = False
 
 
@@ -85,12 +68,11 @@ def _check_parameters(what: Any, folder: Path) -> Any:
     return nodes
 
 
-def _inject(loop: Loop, what: dict[str, str]) -> None:
-    for topic, fault in what.items():
-        loop.monitor.set_parameters("fault_injector", {f"{topic}_fault": fault})
+def _inject(loop: Any, what: dict[str, str]) -> None:
+    _set(loop, {"fault_injector": {f"{topic}_fault": fault for topic, fault in what.items()}})
 
 
-def _set(loop: Loop, what: dict[str, dict[str, Any]]) -> None:
+def _set(loop: Any, what: dict[str, dict[str, Any]]) -> None:
     for node, values in what.items():
         loop.monitor.set_parameters(node, values)
 
@@ -101,20 +83,20 @@ ACTIONS: dict[str, Action] = {
     ),
     "kill": Action(
         _one_of("kill", *NODES),
-        lambda loop, what: loop.processes.kill(what),
-        lambda loop, what: loop.processes.start(what),
+        lambda loop, what: loop.kill(what),
+        lambda loop, what: loop.start(what),
         publishers=True,
     ),
     "pause": Action(
         _one_of("pause", *NODES),
-        lambda loop, what: loop.processes.pause(what, True),
-        lambda loop, what: loop.processes.pause(what, False),
+        lambda loop, what: loop.pause(what, True),
+        lambda loop, what: loop.pause(what, False),
     ),
     "set": Action(_check_parameters, _set),
     "cut": Action(
         _one_of("cut", "link"),
-        lambda loop, what: loop.processes.link(up=False),
-        lambda loop, what: loop.processes.link(up=True),
+        lambda loop, what: loop.link(up=False),
+        lambda loop, what: loop.link(up=True),
         publishers=True,
     ),
 }

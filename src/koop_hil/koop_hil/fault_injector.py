@@ -36,7 +36,6 @@ class FaultInjectorConfig(Settings):
     time_scale: float = parameter(
         1.0, "simulated per real time: delays are simulated time", low=1e-3, high=1e3
     )
-    seed: int = parameter(0, "seed of random faults", low=0, high=2**31 - 1, read_only=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,7 +50,7 @@ class FaultInjectorRun(Run):
         config = node.parameters[FaultInjectorConfig]
         self._node = node
         self._scale = config.time_scale
-        self._channels = {"state": Channel(config.seed), "theta": Channel(config.seed + 1)}
+        self._channels = {"state": Channel(0), "theta": Channel(1)}
         self._outlets: dict[str, Publisher] = {}
         self._count = 0
         self._timer = entities.timer(PERIOD, self._flush)

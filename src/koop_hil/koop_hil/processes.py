@@ -8,6 +8,7 @@ import signal
 import sys
 from pathlib import Path
 
+from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import NodeProcess
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
@@ -25,13 +26,16 @@ class Processes:
         Folder of the run: bag, logs, parameters.
     scenario : Scenario
         What to run.
-    other_host : OtherHost, optional
+    monitor : Monitor
+        Its client in the ROS domain.
+    other_host : OtherHost or None
         Where the scenario's remote process runs.
     """
 
     def __init__(
-        self, folder: Path, scenario: Scenario, other_host: OtherHost | None = None
+        self, folder: Path, scenario: Scenario, monitor: Monitor, other_host: OtherHost | None
     ) -> None:
+        self.monitor = monitor
         self.logs = folder / "logs"
         self.failures: list[str] = []  # of those that were stopped
         self._scenario = scenario
@@ -109,7 +113,6 @@ class Processes:
                 "pace": "scaled",
                 "time_scale": setting.time_scale,
                 "theta_initial": setting.theta_initial,
-                "seed": setting.seed,
             },
             "koopman_lifter": {"model": self._copy_model()} if setting.model else {},
             "relay_esc": {"theta_initial": setting.theta_initial},
@@ -149,7 +152,6 @@ class Processes:
         options = {
             "scale": setting.time_scale,
             "readers": 2,  # the recorder and the lifter
-            "seed": setting.seed,
             **topics,
         }
         words = [f"--{key}={value}" for key, value in options.items()]

@@ -26,7 +26,7 @@ from koop_hil.verdict import Verdict, judge
 from koop_node.process.ending import end_process
 from koop_node.process.lifeline import end_with_parent
 
-VERDICT, SCENARIO = "verdict.json", "scenario.pickle"
+PICKLE = "hosts.pickle"  # the scenario for another process, then its verdict
 PACKAGES = {"jsbsim": ("jsbsim", "JSBSim"), "inverter": ("dpsimpy", "DPsim")}  # of others
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 BAR = "{desc:<24} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
@@ -45,7 +45,8 @@ def run(scenario: Scenario, folder: Path) -> Verdict:
         why = f"{name} is not installed: {INSTALL}"
         return Verdict(scenario.name, scenario.setting.description, [], skipped=why)
     verdict = (_run_isolated if scenario.setting.remote else run_here)(scenario, folder)
-    _write(verdict, folder)
+    content = {**asdict(verdict), "passed": verdict.passed}
+    (folder / "verdict.json").write_text(json.dumps(content, indent=1) + "\n")
     return verdict
 
 
@@ -69,25 +70,20 @@ def run_here(scenario: Scenario, folder: Path) -> Verdict:
 
 def _run_isolated(scenario: Scenario, folder: Path) -> Verdict:
     """Run and judge a scenario with two hosts; it is skipped where they cannot be made."""
-    (folder / SCENARIO).write_bytes(pickle.dumps(scenario))
+    (folder / PICKLE).write_bytes(pickle.dumps(scenario))
     empty = Verdict(scenario.name, scenario.setting.description, [])
     try:
         code = call_isolated([sys.executable, "-m", __name__, str(folder)])
     except HostsError as error:
         empty.skipped = str(error)
         return empty
+    made = (folder / PICKLE).read_bytes()
+    (folder / PICKLE).unlink()
     if code != 0:
         empty.failures = [f"the process of the first host ended with exit code {code}"]
         return empty
-    content = json.loads((folder / VERDICT).read_text())
-    del content["passed"]
-    return Verdict(**content)
-
-
-def _write(verdict: Verdict, folder: Path) -> None:
-    (folder / VERDICT).write_text(
-        json.dumps({**asdict(verdict), "passed": verdict.passed}, indent=1) + "\n"
-    )
+    verdict: Verdict = pickle.loads(made)
+    return verdict
 
 
 def main(folder: Path) -> int:
@@ -98,10 +94,9 @@ def main(folder: Path) -> int:
 
     signal.signal(signal.SIGTERM, on_signal)
     end_with_parent()
-    scenario: Scenario = pickle.loads((folder / SCENARIO).read_bytes())
-    (folder / SCENARIO).unlink()
+    scenario: Scenario = pickle.loads((folder / PICKLE).read_bytes())
     try:
-        _write(run_here(scenario, folder), folder)
+        (folder / PICKLE).write_bytes(pickle.dumps(run_here(scenario, folder)))
     except KeyboardInterrupt:
         return 130
     return 0

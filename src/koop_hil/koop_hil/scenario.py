@@ -57,9 +57,6 @@ class Limits(Settings):
     error_limit: float = parameter(
         1.5, "|theta - theta*| out of tolerance; the relay's own cycle is 1", low=0.0
     )
-    time_out_of_tolerance: float = parameter(
-        NO_LIMIT, "how long theta may be out of tolerance from the first event on", unit="s"
-    )
     answer_age: float = parameter(
         NO_LIMIT, "real age of a state when the answer to it begins to act", unit="s"
     )
@@ -89,7 +86,6 @@ class Setting(KnobSettings):
         2.0, "theta at the start", low=-100.0, high=100.0, per_knob=True
     )
     model: str = parameter("", "model file, relative to the scenario; empty: the shipped one")
-    seed: int = parameter(0, "seed of the plant", low=0, high=2**31 - 1)
     remote: str = parameter("", "what runs on another host; empty: nothing", choices=("", *NODES))
 
 

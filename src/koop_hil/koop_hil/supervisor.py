@@ -16,11 +16,13 @@ from koop_bringup.live.process import START_TIMEOUT
 from koop_core.config.knobs import format_knobs
 from koop_core.errors import LiveError
 from koop_core.stream.report import LEVELS
-from koop_hil.actions import ACTIONS, TICK, Loop
+from koop_hil.actions import ACTIONS
 from koop_hil.hosts import other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_node.client.alone import alone
+
+TICK = 0.02  # [s] between looks at the clock
 
 
 @dataclass
@@ -59,7 +61,7 @@ def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]
         else:  # with two hosts no other process is on the network
             stack.enter_context(alone(topics=dict.fromkeys(scenario.topics, 1)))
         monitor = stack.enter_context(Monitor())
-        processes = stack.enter_context(Processes(folder, scenario, other))
+        processes = stack.enter_context(Processes(folder, scenario, monitor, other))
         monitor.wait_for(
             lambda: "step" in monitor.progress.values.get("koopman_lifter", {}),
             START_TIMEOUT,
@@ -67,19 +69,15 @@ def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]
             processes.refuse_dead,
         )
         refuse_others(monitor, scenario.topics)
-        record = _play(scenario, monitor, processes, progress)
+        record = _play(scenario, processes, progress)
     record.failures += [text for text in processes.failures if text not in record.failures]
     return record
 
 
 def _play(
-    scenario: Scenario,
-    monitor: Monitor,
-    processes: Processes,
-    progress: Callable[[float, str], None],
+    scenario: Scenario, processes: Processes, progress: Callable[[float, str], None]
 ) -> RunRecord:
-    setting, record = scenario.setting, RunRecord()
-    loop = Loop(monitor, processes)
+    setting, monitor, record = scenario.setting, processes.monitor, RunRecord()
     started = time.monotonic()
     record.begin = time.time_ns()
     order = itertools.count()
@@ -95,10 +93,10 @@ def _play(
             _, _, event, over = heapq.heappop(todo)
             action = ACTIONS[event.action]
             if over:
-                action.end(loop, event.what)
+                action.end(processes, event.what)
                 continue
             record.first = record.first or time.time_ns()
-            action.begin(loop, event.what)
+            action.begin(processes, event.what)
             if event.lasts > 0.0 or event.action == "kill":
                 heapq.heappush(todo, (t + event.lasts, next(order), event, True))
         if t >= first:

@@ -23,7 +23,7 @@ FIELDS = {
     "theta": ["step"],
     "ground_truth": ["step", "log_time", "publish_time", "theta_step"],
 }
-LIMITED = ("tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answer_age")
+LIMITED = ("tail_error", "max_error", "unrecorded", "answer_age")
 
 
 @dataclass(frozen=True)

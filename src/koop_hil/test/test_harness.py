@@ -122,7 +122,7 @@ def test_a_rig_of_which_the_lifter_takes_one_field_measures_on_a_topic_of_its_ow
 
 def test_a_rig_of_standard_messages_says_what_it_does_by_the_parameters(tmp_path):
     scenario = read(find("rig-jsbsim-gusts"))
-    rig = Processes(tmp_path, scenario)._command("plant")[0]
+    rig = Processes(tmp_path, scenario, None, None)._command("plant")[0]
     assert rig[:2] == ["jsbsim", "--until-eof"]
     assert {"--state=imu", "--theta=theta", "--truth"} <= set(rig)
     assert rig[-len(split := scenario.setting.rig_options.split()) :] == split

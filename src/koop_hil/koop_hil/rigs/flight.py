@@ -14,9 +14,8 @@ import os
 import random
 from typing import Any
 
-from stand import Actuation, SimulatedRig, parse_rig, start
+from stand import Actuation, SimulatedRig, parse_rig, plant_of_others, start
 
-INSTALL = "pip install --no-deps -r requirements/plants.txt"
 STEP = 1.0 / 120.0  # [s]
 FOOT = 0.3048  # [m]
 GAIN = "ap/roll-pid-kd"
@@ -56,10 +55,7 @@ class Flight(SimulatedRig):
 
     def __init__(self, args: argparse.Namespace) -> None:
         os.environ["JSBSIM_DEBUG"] = "0"  # no banner
-        try:
-            import jsbsim
-        except ImportError as error:
-            raise ValueError(f"{error}: {INSTALL}") from None
+        jsbsim = plant_of_others("jsbsim")
         self.actuations = [Actuation(*start(args, START), LOW, HIGH)]
         self._noise = args.noise
         self._fdm = fdm = jsbsim.FGFDMExec(None)

@@ -15,9 +15,8 @@ import random
 import tempfile
 from typing import Any
 
-from stand import Actuation, SimulatedRig, parse_rig, start
+from stand import Actuation, SimulatedRig, parse_rig, plant_of_others, start
 
-INSTALL = "pip install --no-deps -r requirements/plants.txt"
 DT, STEPS = 1e-3, 5  # between two samples [s]; DPsim's steps within: another number, another plant
 OMEGA, VOLTAGE, POWER = 2.0 * math.pi * 50.0, 400.0, 10e3  # [rad/s], [V], [W]
 KI, CURRENT = 0.2, (0.25, 1.0)  # integral gains; of the current loop
@@ -42,11 +41,7 @@ class Inverter(SimulatedRig):
     dt, message, topics = DT, "JointState", ("inverter", "kp_power", "kp_pll")
 
     def __init__(self, args: argparse.Namespace) -> None:
-        try:
-            import dpsimpy
-        except ImportError as error:
-            raise ValueError(f"{error}: {INSTALL}") from None
-        self._dp = dpsimpy
+        self._dp = dpsimpy = plant_of_others("dpsimpy")
         dpsimpy.Logger.set_log_dir(tempfile.gettempdir())  # not in the folder of the caller
         self._theta, self._power = tuple(start(args, 0.06, 0.16)), POWER
         strokes = zip(self._theta, (0.04, 0.06), (0.23, 0.4), strict=True)

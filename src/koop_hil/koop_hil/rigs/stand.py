@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import math
 import os
 import random
@@ -16,6 +17,17 @@ from typing import Any, NamedTuple, Protocol
 SHORTEST = 0.02  # [s] between two looks for listeners
 DRIFT = 200e-6  # of the rig's clock [s/s]
 OLDEST = 0.5  # age of the state behind a command, beyond which it is ignored [s of real time]
+
+
+INSTALL = "pip install --no-deps -r requirements/plants.txt"
+
+
+def plant_of_others(package: str) -> Any:
+    """Import a package that comes with a plant; ValueError says how to install it."""
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise ValueError(f"{error}: {INSTALL}") from None
 
 
 class Actuation(NamedTuple):
