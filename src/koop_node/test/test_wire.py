@@ -10,6 +10,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import UInt16MultiArray
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from koop_core.cdr import Walk
+from koop_node.node import wire
 from koop_node.node.wire import WireError, codec
 
 KINDS = (MeasuredState, Cost, ControlInput, PlantTruth, JointTrajectoryPoint)
@@ -105,3 +107,11 @@ def test_lengths_that_change_for_ever_do_not_fill_the_memory():
 def test_a_message_of_messages_in_a_row_has_no_codec(kind):
     with pytest.raises(WireError, match="no codec for a field sequence<"):
         codec(kind)
+
+
+def test_shorter_messages_after_a_longer_one_are_walked_over_once(monkeypatch):
+    walks, states = [], wire.Codec(MeasuredState)
+    monkeypatch.setattr(wire, "Walk", lambda data: walks.append(data) or Walk(data))
+    for x in ([1.0] * 9, [2.0], [3.0], [4.0]):
+        assert list(states.decode(states.encode(MeasuredState(x=x))).x) == x
+    assert len(walks) == 2

@@ -13,6 +13,7 @@ from __future__ import annotations
 import struct
 from array import array
 from collections.abc import Iterator
+from dataclasses import make_dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -119,7 +120,7 @@ class Codec:
         """
         layout = self._last
         if data[:4] != LITTLE or len(data) < layout.packer.size:
-            layout = self._find(data)
+            layout = self._last = self._find(data)
         values = layout.packer.unpack_from(data)
         if self._lengths(values) != layout.lengths:
             layout = self._last = self._find(data)
@@ -227,7 +228,11 @@ def _compiled(message_class: Any, leaves: list[Leaf]) -> dict[str, Any]:
         }[leaf.kind]
         for index, leaf in _positions(leaves)
     }
-    classes: list[str] = []
+    space: dict[str, Any] = {
+        "LITTLE": LITTLE,
+        "array": array,
+        "text": lambda chunk: chunk[:-1].decode() if len(chunk) > 1 else "",
+    }
 
     def expression(made: Any, prefix: str) -> str:
         names = list(made.get_fields_and_field_types())
@@ -236,27 +241,15 @@ def _compiled(message_class: Any, leaves: list[Leaf]) -> dict[str, Any]:
             for name in names
         ]
         label = f"{made.__name__}_{prefix.replace('.', '_')}"
-        classes.append(
-            f"class {label}:\n"
-            f"    __slots__ = {tuple(names)!r}\n"
-            f"    def __init__(self, {', '.join(names)}):\n"
-            + "".join(f"        self.{name} = {name}\n" for name in names)
-        )
+        space[label] = make_dataclass(label, names, repr=False, eq=False, slots=True)
         return f"{label}({', '.join(inner)})"
 
     build = expression(message_class, "")
     lengths = " ".join(f"v[{n + 1}]," for n, leaf in _positions(leaves) if leaf.kind != "number")
     source = (
-        "".join(classes)
-        + f"def build(v):\n    return {build}\n"
-        + f"def lengths(v):\n    return ({lengths})\n"
-        + _encoder(leaves)
+        f"def build(v):\n    return {build}\n"
+        f"def lengths(v):\n    return ({lengths})\n" + _encoder(leaves)
     )
-    space = {
-        "LITTLE": LITTLE,
-        "array": array,
-        "text": lambda chunk: chunk[:-1].decode() if len(chunk) > 1 else "",
-    }
     # as dataclasses and namedtuple do it: a call for every field would cost as much as rclpy
     exec(compile(source, f"<codec of {message_class.__name__}>", "exec"), space)
     return space
