@@ -27,7 +27,6 @@ from koopman_lifter.observables import Monomials
 
 TILE_BYTES = 2**21  # of lifted states at a time: what a core's cache about holds
 TILE = (2048, 20480)  # states at a time, at least for BLAS' sake, at most for the cache's
-FEW = 8  # observables
 Sums = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -40,7 +39,7 @@ def products(observables: Monomials, states: NDArray[np.float64]) -> Sums:
     now_now, after_now = np.zeros((p, p)), np.zeros((p, p))
     for lifted in _tiles(observables, states):
         now, after = lifted[:, :-1], lifted[:, 1:]
-        now_now += _squared(now)
+        now_now += now @ now.T
         after_now += after @ now.T
     # L and G share all states but the first and the last, which makes a third product needless.
     # Where the first is most of an observable's sum, as in a state that dies away, taking it off
@@ -52,16 +51,6 @@ def products(observables: Monomials, states: NDArray[np.float64]) -> Sums:
     for lifted in _tiles(observables, states):
         after_after += lifted[:, 1:] @ lifted[:, 1:].T
     return now_now, after_now, after_after
-
-
-def _squared(lifted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Z Z^T; of few observables by the general product, BLAS' symmetric one takes longer."""
-    if lifted.shape[0] > FEW:
-        return np.asarray(lifted @ lifted.T)
-    product = np.empty(2 * lifted.shape[:1])
-    product[1:] = lifted[1:] @ lifted.T
-    product[0] = lifted.shape[1], *product[1:, 0]  # the first observable is 1
-    return product
 
 
 def delay_line(states: NDArray[np.float64]) -> int:
