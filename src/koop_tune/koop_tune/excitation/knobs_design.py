@@ -37,7 +37,6 @@ from koop_tune.excitation.design import (
     FLAT,
     KNOWN,
     Design,
-    DesignSettings,
     Move,
 )
 from koop_tune.excitation.holds import Hold, Level, usual_wander
@@ -127,7 +126,8 @@ class KnobsDesign:
         self.base = self._start = rig.u(rig.each("theta_start"))
         self._useful = list(range(rig.count))
         self._to_come = 0  # holds after the present section, at least
-        self._of_section = replace(DESIGN, gap=KNOBS.gap) if rig.count > 1 else DESIGN
+        several = replace(DESIGN, gap=KNOBS.gap, error=BOWL.error)
+        self._of_section = several if rig.count > 1 else DESIGN
         self._recorded, self._arrivals = list(recorded), 0
         self._done: list[tuple[Hold, Array]] = []
         self._look_along(0, self.base)
@@ -332,14 +332,11 @@ class KnobsDesign:
             via = None if move.via is None else self._at(move.via)
             yield KnobsMove(self._at(move.u), via, move.why)
 
-    def _begin(
-        self, holds: Sequence[Hold], first: Sequence[float] | None,
-        settings: DesignSettings | None = None,
-    ) -> None:  # fmt: skip
+    def _begin(self, holds: Sequence[Hold], first: Sequence[float] | None) -> None:
         """Begin to decide about a knob, all holds elsewhere known."""
         if self._done or holds:  # else it is the first, which knows what was heard
             self._design = Design(
-                self._part, holds, None, settings or self._of_section, self._design,
+                self._part, holds, None, self._of_section, self._design,
                 [hold for hold, _ in self._done], first,
             )  # fmt: skip
 
@@ -381,7 +378,7 @@ class KnobsDesign:
         u = recorded[0] if recorded else u  # a resumed one comes to about the same place
         self._done = self.held
         self._look_along(self._section, u)
-        self._begin((), (), replace(self._of_section, error=BOWL.error))
+        self._begin((), ())
         yield KnobsMove(u, None, why)
         self._done += [(hold, u) for hold in self._design.holds]
         self._design.holds = []
