@@ -90,6 +90,10 @@ def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled)
         assert one.theta_min < limits[knob].low < best < limits[knob].high < one.theta_max
         aim = summarise(tuning).make_aim(KNOBS).knobs[knob]
         assert aim.valley[0] <= limits[knob].low <= aim.theta <= limits[knob].high <= aim.valley[1]
+        # at the limits of both the square has 1.3^2 - 1 more than at the best
+        ends = tuning.sections[knob].predict(one.scale.u(np.array(limits[knob][:2])))[0]
+        factor = np.exp(ends - tuning.sections[knob].least)
+        assert factor == pytest.approx(math.sqrt(1.0 + 0.5 * (1.3**2 - 1.0)), abs=0.03)
     assert list(tuning.sections) == [0, 1]
     steps = np.array(tuning.esc.step_size) / [limit.high - limit.low for limit in limits]
     assert steps[0] == pytest.approx(steps[1], rel=0.01)  # three digits

@@ -78,7 +78,7 @@ def limit_theta(
         else:
             u = edge
             reason = f"beyond {scale.theta_at(edge):.4g} the oscillation is " + (
-                f"{settings.limits:g} times the best or worse"
+                f"{settings.limits:.3g} times the best or worse"
             )
         u = max(u, best + least) if end else min(u, best - least)
         u += side * max(side * motion, 0.0)

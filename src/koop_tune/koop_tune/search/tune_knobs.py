@@ -128,6 +128,8 @@ def tune_knobs(
     if amplitude is None or not lines:
         raise NoOptimum("flat", "the map over the knobs is not known: record with "
                         "'koop excite', until it says that the map is known")  # fmt: skip
+    # where all knobs are at their limits, what each adds to the square adds up
+    settings = replace(settings, limits=math.sqrt(1.0 + (settings.limits**2 - 1.0) / len(lines)))
     rigs = {k: rig.section(k, rig.theta_at(line)) for k, line in lines.items()}
     parts = {k: cut_section(loaded, rig, k, line) for k, line in lines.items()}
     dwells = {
