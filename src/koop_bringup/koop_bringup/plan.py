@@ -123,8 +123,6 @@ class Plan:
         All that is given, by node, of those that are started.
     namespace : str
         Namespace of all nodes, such as ``/rig``; empty for the root.
-    nodes : tuple of PlannedNode
-        In the order of starting.
     rig : bool
         Whether a rig is the plant.
     program : tuple of str
@@ -139,12 +137,17 @@ class Plan:
 
     parameters: dict[str, dict[str, Any]]
     namespace: str = ""
-    nodes: tuple[PlannedNode, ...] = ()
     rig: bool = False
     program: tuple[str, ...] = ()
     composed: bool = False
     remaps: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def nodes(self) -> tuple[PlannedNode, ...]:
+        """The nodes, in the order of starting."""
+        names = [name for name in EXECUTABLES if name in self.parameters]
+        return tuple(PlannedNode(name, *EXECUTABLES[name]) for name in names)
 
     def processes(self) -> tuple[PlannedNode, ...]:
         """Return what is started: a process a node, or one for all but recorder and guard."""
@@ -244,9 +247,8 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
     if guard is not None:
         split_command("on_alarm", guard.on_alarm)
     remaps = (f"relay_esc:{THETA}:={ASKED}",) if guard and guard.asked == ASKED else ()
-    nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
     composed = _flag("composed", arguments, False)
-    return Plan(values, namespace, nodes, not simulated, program, composed, remaps, tuple(notes))
+    return Plan(values, namespace, not simulated, program, composed, remaps, tuple(notes))
 
 
 def refuse_other_arguments(words: list[str]) -> None:

@@ -25,7 +25,7 @@ from koop_core.config import parameter_file
 from koop_core.errors import LiveError
 from koop_guard.note import THETA_LEFT, TWIN
 from koop_loop.ending import Ending, ending
-from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
+from koop_loop.parameters import LoopParameters
 from koop_node.client.alone import TOPICS, alone, is_claimed
 from koop_node.client.desk import Desk
 
@@ -58,8 +58,7 @@ class LiveNodes:
         self._values, self._namespace = planned.parameters, planned.namespace
         self._rig, self._program = planned.rig, list(planned.program)
         self._remaps, self._environment = planned.remaps, os.environ | planned.environment
-        shared = planned.parameters if planned.composed else {}
-        self._composed = {node: COMPONENTS[node] for node in COMPONENTS if node in shared}
+        self._processes = planned.processes()
         self._in_turn = False
         """Whether the nodes work one after the other."""
         self._nodes: dict[str, NodeProcess] = {}
@@ -87,11 +86,12 @@ class LiveNodes:
                 arguments += ["-r", f"__ns:={self._namespace}"]
             arguments += [word for rule in self._remaps for word in ("-r", rule)]
             stack.callback(self._stop_all)
-            for node in EXECUTABLES:
-                if node in self._values and node not in self._composed:
-                    self._start(node, arguments)
-            if self._composed:
-                self._start("container", [*self._composed.values(), *arguments])
+            for each in self._processes:
+                name = each.executable if each.arguments else each.name
+                words = [*each.arguments, *arguments]
+                self._nodes[name] = NodeProcess(
+                    name, words, logs / f"{name}.log", environment=self._environment
+                )
             if self._program:
                 companion = [sys.executable, "-m", "koop_node.process.companion"]
                 self._nodes["rig"] = NodeProcess("rig", self._program, logs / "rig.log", companion)
@@ -100,10 +100,6 @@ class LiveNodes:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
-
-    def _start(self, node: str, arguments: list[str]) -> None:
-        log = self.folder / "logs" / f"{node}.log"
-        self._nodes[node] = NodeProcess(node, arguments, log, environment=self._environment)
 
     @uninterrupted()
     def _stop_all(self, to_guard: int = signal.SIGTERM) -> dict[str, int]:
@@ -245,7 +241,7 @@ class LiveNodes:
             code = process.poll()
             if code is None or node in self.lost:
                 continue
-            role = list(self._composed)[-1] if node == "container" else node
+            role = self._processes[-1].name if node == "container" else node
             end = ending(role, code, self._rig)
             if end is Ending.DONE:
                 return True
