@@ -58,17 +58,13 @@ def main(args: argparse.Namespace) -> int:
     show = partial(print, flush=True)  # also into a pipe at once
     show(f"Measured by `koop bench {' '.join(args.names)}`".rstrip() + f" on {machine()}.")
     settings = BenchSettings(args.duration, args.rounds, show)
-    return 0 if run_benchmarks({name: load(name) for name in names}, settings) else 1
+    return 0 if run_benchmarks({name: partial(run, name) for name in names}, settings) else 1
 
 
-def load(name: str) -> Callable[[BenchSettings], list[BenchFigure]]:
-    """Return the function that runs a benchmark; its modules are loaded when it is called."""
-
-    def run(settings: BenchSettings) -> list[BenchFigure]:
-        figures: list[BenchFigure] = import_module(f"{__package__}.{name}").run(settings)
-        return figures
-
-    return run
+def run(name: str, settings: BenchSettings) -> list[BenchFigure]:
+    """Run a benchmark, whose modules are loaded only then."""
+    figures: list[BenchFigure] = import_module(f"{__package__}.{name}").run(settings)
+    return figures
 
 
 def run_benchmarks(
@@ -80,11 +76,11 @@ def run_benchmarks(
     """
     figures: list[tuple[str, BenchFigure]] = []
     failed = False
-    for name, run in benchmarks.items():
+    for name, measure in benchmarks.items():
         settings.show(f"\n{name}: {BENCHMARKS.get(name, name)}")
         begin = time.monotonic()
         try:
-            figures += [(name, figure) for figure in run(settings)]
+            figures += [(name, figure) for figure in measure(settings)]
         except KoopError as error:
             failed = True
             settings.show(f"failed: {error}")

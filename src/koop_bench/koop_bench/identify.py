@@ -1,24 +1,22 @@
 """Identification beside NumPy's least squares on all of the lifted states, on the same recording.
 
 Processor time on one thread of the fastest run; memory beyond what was held before. Each is
-measured in a process of its own: ``python -m koop_bench.identify TOOL FILE DELAYS SNAPSHOTS``
-prints a line of JSON.
+measured in a process of its own.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from koop_bench.figures import BenchFigure, BenchSettings
 from koop_core.errors import KoopError
@@ -81,15 +79,11 @@ def identify(tool: str, file: Path, delays: int, snapshots: int) -> Identificati
 
     Raises KoopError if it fails.
     """
-    program = [sys.executable, "-m", "koop_bench.identify"]
-    words = [*program, tool, str(file), str(delays), str(snapshots)]
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
-    if done.returncode:
-        raise KoopError(done.stderr.strip()[-300:])
-    result = json.loads(done.stdout)
-    eigenvalues = np.array(result["real"]) + 1j * np.array(result["imag"])
-    return Identification(result["time"], result["memory"], eigenvalues)
+    with ProcessPoolExecutor(1, get_context("spawn")) as process:
+        try:
+            return process.submit(measure, tool, file, delays, snapshots).result()
+        except OSError as error:
+            raise KoopError(str(error)) from None
 
 
 def difference(ours: NDArray[np.complex128], theirs: NDArray[np.complex128]) -> float:
@@ -118,28 +112,24 @@ def with_numpy(file: Path, delays: int, snapshots: int) -> NDArray[np.float64]:
     return np.asarray(solution, np.float64)
 
 
-def main(tool: str, file: Path, delays: int, snapshots: int) -> None:
-    """Measure one tool."""
+def measure(tool: str, file: Path, delays: int, snapshots: int) -> Identification:
+    """Measure one tool, in this process."""
     operator = {"koop": with_koop, "numpy": with_numpy}[tool]
     best, total = np.inf, 0.0
-    for number in range(RUNS):
-        before, begin = _peak(), time.process_time()
-        eigenvalues = np.linalg.eigvals(operator(file, delays, snapshots))
-        elapsed = time.process_time() - begin
-        if not number:
-            memory = _peak() - before
-        best, total = min(best, elapsed), total + elapsed
-        if total > LONG:
-            break
-    real, imag = eigenvalues.real.tolist(), eigenvalues.imag.tolist()
-    print(json.dumps({"time": best, "memory": memory, "real": real, "imag": imag}))
+    with threadpool_limits(1):
+        for number in range(RUNS):
+            before, begin = _peak(), time.process_time()
+            eigenvalues = np.linalg.eigvals(operator(file, delays, snapshots))
+            elapsed = time.process_time() - begin
+            if not number:
+                memory = _peak() - before
+            best, total = min(best, elapsed), total + elapsed
+            if total > LONG:
+                break
+    return Identification(best, memory, np.asarray(eigenvalues, np.complex128))
 
 
 def _peak() -> int:
     """Return the most memory that this process has held [B]."""
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) * 1024
-
-
-if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]), *map(int, sys.argv[3:]))
