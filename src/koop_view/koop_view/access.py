@@ -55,9 +55,8 @@ class Access:
 
     def refuse_origin(self, origin: str | None, host: str | None) -> Refusal | None:
         """Refuse a web page of another server; only browsers name an origin."""
-        if origin is None or origin in self.origins:
-            return None
-        if _is_url(origin) and re.fullmatch(r"https?://" + re.escape(str(host)), origin):
+        own = (f"http://{host}", f"https://{host}")
+        if origin is None or origin in self.origins or origin in own:
             return None
         return Refusal(
             HTTPStatus.FORBIDDEN,

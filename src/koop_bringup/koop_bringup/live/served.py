@@ -49,17 +49,16 @@ def served(port: int | None, folder: Path) -> Iterator[Callable[[str], None]]:
     log.touch(mode=0o600)  # it holds the token
     begin = log.stat().st_size  # what a command that goes on had printed before is over
     process = NodeProcess("view", [], log, command)
+
+    def show(line: str) -> None:
+        with suppress(OSError):  # a full disk hides it and ends no run
+            about.write_text(line)
+
     try:
         print(said(process, begin), flush=True)
-        yield lambda line: show(line, about)
+        yield show
     finally:
         process.stop()
-
-
-def show(line: str, about: Path) -> None:
-    """Show a line; a full disk hides it and ends no run."""
-    with suppress(OSError):
-        about.write_text(line)
 
 
 def said(process: NodeProcess, begin: int = 0) -> str:

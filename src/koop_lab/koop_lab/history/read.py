@@ -241,26 +241,24 @@ def _seconds_of(bag: BagReader, start: int) -> dict[str, list[LoopSecond]]:
 
 
 def _read_events(bag: BagReader, parts: _Parts, start: int) -> None:
-    tables: dict[str, Sequence[str] | None] = {}
-    for topic in bag.topics:
-        if topic.count and topic.type_name == GUARD_STATE:
-            tables[topic.name] = GUARD
-        elif topic.count and topic.name == "/diagnostics":
-            tables[topic.name] = HEALTH
+    tables = {
+        topic.name: GUARD if topic.type_name == GUARD_STATE else HEALTH
+        for topic in bag.topics
+        if topic.count and (topic.type_name == GUARD_STATE or topic.name == "/diagnostics")
+    }
     for name, columns in iter_tables(bag, tables, start=start):
-        fields = tables[name] or ()
-        for values in zip(*(columns[item].tolist() for item in fields), strict=True):
-            time = values[0] * 1e-9
-            if time < start * 1e-9:
+        fields = tables[name]
+        for stamp, *values in zip(*(columns[item].tolist() for item in fields), strict=True):
+            time = stamp * 1e-9
+            if stamp < start:
                 continue
             if fields is GUARD:
-                _, status, cause, reason, *theta = values
+                status, cause, reason, *theta = values
                 at, tripped = tuple(theta[:MOST]), tuple(theta[MOST:])
                 message = GuardMessage(time, status, cause, reason, at, tripped)
                 parts.guard.setdefault((name, time), message)
-            elif isinstance(values[1], str):
-                _, node, level, text = values
-                parts.health.setdefault((node, time), HealthMessage(time, node, int(level), text))
+            elif isinstance(node := values[0], str):
+                parts.health.setdefault((node, time), HealthMessage(time, node, *values[1:]))
 
 
 def _make_history(loop: str, parts: _Parts, runs: list[RunSpan]) -> History:
