@@ -75,11 +75,6 @@ def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> An
     return dispatcher
 
 
-def signature_of(*arguments: Any) -> tuple[Any, ...]:
-    """Return the types under which numba keeps the code for some arguments."""
-    return tuple(numba.typeof(argument) for argument in arguments)
-
-
 @overload(replace, strict=False)  # its parameters are the fields
 def _replaced(state, **changes):  # type: ignore[no-untyped-def]
     values = (name if name in changes else f"state.{name}" for name in state.fields)

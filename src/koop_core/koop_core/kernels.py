@@ -51,8 +51,8 @@ def direct(kernel: Kernel, *arguments: Any) -> Callable[..., Any]:
     It is called with them once. The caller answers for the types from then on: of an array of
     another type or order, the kernel would read the bytes as if it had the right one.
     """
-    from koop_core.compiler import signature_of
+    from numba import typeof
 
     kernel(*arguments)
-    compiled: Callable[..., Any] = kernel.overloads[signature_of(*arguments)].entry_point
+    compiled: Callable[..., Any] = kernel.overloads[tuple(map(typeof, arguments))].entry_point
     return compiled

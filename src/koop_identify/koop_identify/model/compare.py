@@ -10,12 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.borrowed import borrowed
 from koop_core.errors import InputError
-from koop_identify.model.energies import energies
+from koop_core.kernels import njit
+from koop_core.stream.arrival import Arrival
 from koop_identify.model.from_bags import BagTraining, build_from, learn_contrast
 from koop_identify.recording.loaded import Loaded, list_segments
 from koop_identify.recording.samples import state_names
 from koop_identify.settings import READING
+from koopman_lifter import cost
+from koopman_lifter.cost import Lifting, Workspace
 from koopman_lifter.delays import Delays, spacing_for
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel
@@ -88,3 +92,35 @@ def _learn(loaded: Loaded, training: BagTraining, delays: Delays, most: int | No
             gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
     names = training.names or state_names(training.reading.measured, delays.channels)
     return build_from(gram, training, names, {}, delays)
+
+
+def energies(
+    model: KoopmanModel | None, x: NDArray[np.float64], begins: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return y_out of states, shape (M,), by the lifter's kernel; NaN while the delay line fills.
+
+    Without a model it is the raw cost's. ``x``, shape (channels, M), are measured one dt apart;
+    ``begins``, shape (M,), says which states follow on none.
+    """
+    lifting = cost.no_lifting() if model is None else model.lifting()
+    source = cost.RAW if model is None else cost.LIFTED
+    y_out = np.empty(x.shape[1])
+    rows = np.ascontiguousarray(x.T)
+    _energies(source, lifting, cost.workspace(lifting), rows, begins, y_out)
+    return y_out
+
+
+@njit()
+def _energies(
+    source: int,
+    lifting: Lifting,
+    work: Workspace,
+    x: NDArray[np.float64],
+    begins: NDArray[np.bool_],
+    y_out: NDArray[np.float64],
+) -> None:
+    lifting, work = cost.borrow(lifting, work)
+    states = borrowed(x)
+    for k in range(y_out.shape[0]):
+        arrival = Arrival.JOIN if begins[k] else Arrival.NEXT
+        y_out[k], _ = cost.energy(source, lifting, arrival, k, states[k], work)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_core.config.fields import Source
 from koop_core.errors import InputError
 from koop_identify.model.windows import cut_windows, period_of, training_windows
 from koop_identify.recording.loaded import Loaded, load_recording
@@ -86,7 +85,9 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
                 )
             before = gram.pairs
             segmenter = Segmenter(segmentation)
-            for states in join_parts(_segments(bag, measured, segmenter), delays.depth):
+            timed = segmentation.timed(batches(bag, measured))
+            segments = (segment for batch in timed for segment in segmenter.split(batch))
+            for states in join_parts(segments, delays.depth):
                 gram.add_trajectory(delays.embed(states))
             if training.contrast:
                 recordings.append(load_recording(bag, training.reading, segmentation))
@@ -211,8 +212,3 @@ def join_parts(segments: Iterator[Segment], overlap: int) -> Iterator[NDArray[np
             states = np.hstack((tail, states))
         tail = states[:, -overlap:].copy()
         yield states
-
-
-def _segments(bag: BagReader, measured: Source, segmenter: Segmenter) -> Iterator[Segment]:
-    for batch in segmenter.segmentation.timed(batches(bag, measured)):
-        yield from segmenter.split(batch)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_identify.model.energies import energies
+from koop_identify.model.compare import energies
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Amplitude
