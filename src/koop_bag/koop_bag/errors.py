@@ -1,5 +1,7 @@
 """Errors of bags. Each message says what happened and how to mend it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from koop_core.errors import KoopError
@@ -11,6 +13,15 @@ class BagError(KoopError):
 
 class BagWriteError(BagError):
     """A bag could not be written on; what was written before stays readable."""
+
+
+@contextmanager
+def writing(action: str) -> Iterator[None]:
+    """Turn a failure of the disk into a BagWriteError that says what could not be done."""
+    try:
+        yield
+    except OSError as error:
+        raise BagWriteError(f"cannot {action}: {error.strerror}") from error
 
 
 def compressed(path: Path) -> BagError:

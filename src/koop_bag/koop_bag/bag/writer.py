@@ -11,7 +11,7 @@ from mcap.records import Channel, Schema
 
 from koop_bag.bag.metadata import OfferedQos, TopicRecord, bag_map, dump
 from koop_bag.cdr.schema import MessageSchema
-from koop_bag.errors import BagError, BagWriteError
+from koop_bag.errors import BagError, BagWriteError, writing
 from koop_bag.mcap.chunk import Batch, ChunkBuffer, Row, batch_of
 from koop_bag.mcap.file_writer import FileRecord, McapFileWriter
 from koop_core import whole_file
@@ -75,29 +75,10 @@ class WriterOptions(Settings):
 class BagWriter(AbstractContextManager["BagWriter"]):
     """A bag being recorded.
 
-    Parameters
-    ----------
-    folder : path
-        The bag's folder; created, must not hold a bag yet. Its name is the bag's name.
-    options : WriterOptions
-        Compression, chunks, splitting.
-    ros_distro : str
-        Distribution that the messages were recorded with; default: this process's.
-
-    Attributes
-    ----------
-    custom_data : dict of str to str
-        Entries of the bag's description. Each file has those at the time of its closing;
-        :meth:`keep` has it written at once.
-    topics : list of TopicRecord
-        Announced so far.
-    alarms_full : bool
-        Whether a file around an alarm was dropped, for want of room in `alarms/`.
-
-    Notes
-    -----
-    After a `BagWriteError` the bag is closed: everything up to the last complete chunk is on the
-    disk, with a summary if there was room for it.
+    Its folder is created and must not hold a bag yet; the folder's name is the bag's. The messages
+    were recorded with ``ros_distro``, by default this process's. After a `BagWriteError` the bag is
+    closed: everything up to the last complete chunk is on the disk, with a summary if there was
+    room for it.
     """
 
     def __init__(
@@ -109,6 +90,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.folder = Path(folder)
         self.options = options or WriterOptions()
         self.custom_data: dict[str, str] = {}
+        """Entries of the bag's description. Each file has those at the time of its closing;
+        :meth:`keep` has it written at once."""
         self.topics: list[TopicRecord] = []
         self._ros_distro = ros_distro or os.environ.get("ROS_DISTRO", "jazzy")
         self._files: list[FileRecord] = []
@@ -117,13 +100,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._alarms: list[FileRecord] = []
         self._dropped: list[Path] = []
         self.alarms_full = False
+        """Whether a file around an alarm was dropped, for want of room in `alarms/`."""
         self.closed = False
-        try:
+        with writing(f"create the folder {self.folder}"):
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise BagWriteError(
-                f"cannot create the folder {self.folder}: {error.strerror}"
-            ) from error
         if any(self.folder.glob("*.mcap")):
             raise BagWriteError(
                 f"{self.folder} already holds a bag: choose another folder, nothing is overwritten"
@@ -315,11 +295,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.alarms_full = not self._has_room_for(record)
         if self.alarms_full:
             return record.size
-        try:
+        with writing(f"keep {path}"):
             alarms.mkdir(exist_ok=True)
             _link(path, alarms / path.name)
-        except OSError as error:
-            raise BagWriteError(f"cannot keep {path}: {error.strerror}") from error
         self._alarms.append(record)
         self._write_description(self._alarms, alarms)
         return 0
@@ -341,10 +319,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def _unlink_dropped(self) -> None:
         for path in self._dropped:
-            try:
+            with writing(f"drop {path}"):
                 path.unlink(missing_ok=True)  # a user may have made room
-            except OSError as error:
-                raise BagWriteError(f"cannot drop {path}: {error.strerror}") from error
         self._dropped.clear()
 
     def _finish_file(self) -> None:

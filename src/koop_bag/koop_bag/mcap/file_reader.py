@@ -49,16 +49,9 @@ class Place(NamedTuple):
 
 
 class McapFile:
-    """A file opened for reading.
+    """A file of ``size`` bytes opened for reading.
 
-    Attributes
-    ----------
-    size : int
-        Its bytes.
-    summary_start : int
-        Offset of the summary, 0 if there is none.
-    complete : bool
-        Whether the file was closed by its recorder.
+    It is ``complete`` if its recorder closed it; ``summary_start`` is 0 if there is no summary.
     """
 
     def __init__(self, path: Path) -> None:

@@ -24,7 +24,7 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-from koop_bag.errors import BagWriteError
+from koop_bag.errors import BagWriteError, writing
 from koop_bag.mcap.chunk import ChunkBuffer, encode
 from koop_core.whole_file import FULL
 
@@ -66,10 +66,8 @@ class McapFileWriter:
         self._channels: list[Channel] = []
         self._chunks = _Packed()
         self._metadata: list[bytes] = []
-        try:
+        with writing(f"create {path}"):
             self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - open as long as the bag
-        except OSError as error:
-            raise BagWriteError(f"cannot create {path}: {error.strerror}") from error
         self._append(MCAP0_MAGIC + encode(Header(profile="ros2", library=_library())))
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_bag.bag.metadata import dump
-from koop_bag.errors import BagWriteError
+from koop_bag.errors import BagWriteError, writing
 
 _DISTRIBUTIONS = (
     "numpy", "numba", "scipy", "mcap", "rclpy", "koop_msgs", "koop_core", "koop_node", "koop_bag",
@@ -38,10 +38,8 @@ def make_run_folder(output: str) -> Path:
     folder = Path(output).expanduser() if output else default_folder(secrets.token_hex(2))
     if (folder / "bag").exists():
         raise BagWriteError(f"{folder} holds a recording already: choose another output")
-    try:
+    with writing(f"create the folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BagWriteError(f"cannot create the folder {folder}: {error.strerror}") from error
     return folder.resolve()
 
 
@@ -115,19 +113,15 @@ def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str
             continue
         digest = hashlib.sha256(content).hexdigest()
         target = folder / "model" / path.name
-        try:
+        with writing(f"keep the model {path}"):
             target.parent.mkdir(exist_ok=True)
             if target.is_file() and target.read_bytes() != content:
                 target = target.with_name(f"{path.stem}-{digest[:12]}{path.suffix}")
             target.write_bytes(content)
             kept[target.name] = digest
-        except OSError as error:
-            raise BagWriteError(f"cannot keep the model {path}: {error.strerror}") from error
     return kept
 
 
 def _write(path: Path, text: str) -> None:
-    try:
+    with writing(f"write {path}"):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise BagWriteError(f"cannot write {path}: {error.strerror}") from error

@@ -28,20 +28,11 @@ LARGEST = 2**63 - 2
 
 
 class StreamMonitor:
-    """Follows the steps of one topic.
+    """Follows the steps of one topic, which are ``dt`` [s] apart.
 
-    Parameters
-    ----------
-    topic : str
-        Name for the reports.
-    timeout : float
-        Age at which the input is stale [s]; 0: never.
-    dt : float
-        Time between two steps [s].
-    may_end : bool
-        Whether silence is not a fault where the source has left in order.
-    newest_counts : bool
-        Whether lost and overtaken messages are not a finding, as commands in real time.
+    At an age of ``timeout`` [s] the input is stale; 0: never. With ``may_end``, silence is not a
+    fault where the source has left in order; with ``newest_counts``, lost and overtaken messages
+    are not a finding, as commands in real time.
     """
 
     def __init__(

@@ -23,14 +23,9 @@ MAX_STEP = 2**40  # 170 years at 200 Hz; leaves room for the number of the pass 
 class Messages:
     """The messages of a topic, from their fields, ``step`` among them; None if there is none.
 
-    Attributes
-    ----------
-    step, kind : ndarray, shape (K,)
-        Step and what the nodes' StreamMonitor says about it.
-    key : ndarray of int64, shape (K,)
-        Pass and step in one number.
-    heard : ndarray of int64
-        Keys of the messages that are neither repeated nor late, in order.
+    Of each, shape (K,), ``kind`` is what the nodes' StreamMonitor says about its ``step``, ``key``
+    pass and step in one number; ``heard`` are the keys of those that are neither repeated nor late,
+    in order.
     """
 
     def __init__(self, columns: Columns | None) -> None:

@@ -72,19 +72,9 @@ def recorded_changes(
     """Return what was changed between two answers.
 
     A node sends an event about the change and its answers from one thread, so that the times of
-    sending put them in order.
-
-    Parameters
-    ----------
-    bag : BagReader
-        The bag.
-    namespace : str
-        Namespace of the loop.
-    answered : mapping of str to ndarray, shape (M,)
-        By node, when its answers were sent [ns]; 0 where there is none.
-    source, model : ndarray, shape (M,)
-        Recorded source, above 1 where there is none, and model of the cost; they say when it was
-        switched where the event of that was not recorded.
+    sending put them in order: ``answered`` says by node, shape (M,), when its answers were sent
+    [ns]; 0 where there is none. The recorded source, above 1 where there is none, and model of the
+    cost, shape (M,), say when it was switched where the event of that was not recorded.
     """
     changes: list[ParameterChange] = []
     names = {number: name for name, number in SOURCES.items()}

@@ -66,20 +66,10 @@ class Segment(NamedTuple):
 
 
 class Segmenter:
-    """Splits the samples of one bag into segments.
+    """Splits the samples of one bag into segments, and counts them.
 
-    Attributes
-    ----------
-    segmentation : Segmentation
-        How.
-    samples : int
-        Number of samples so far.
-    dropped : int
-        Samples that are not finite.
-    count : int
-        Number of segments so far.
-    gaps : int
-        Places so far where the time between two samples, or their steps, ended a segment.
+    ``dropped`` are samples that are not finite, ``gaps`` places where the time between two samples,
+    or their steps, ended a segment.
     """
 
     def __init__(self, segmentation: Segmentation) -> None:
