@@ -39,7 +39,8 @@ STORED: dict[str, tuple[int, str]] = {
 
 def list_fields(bag: BagReader, topic: str) -> list[str]:
     """Return the fields of a topic that can be read as columns."""
-    return _names(definition_of(bag, topic))
+    leaves = leaf_fields(definition_of(bag, topic))
+    return [f".{name}" if name in STORED else name for name in leaves]
 
 
 def read_columns(
@@ -128,10 +129,9 @@ class _Wanted(NamedTuple):
 
 
 def _want(bag: BagReader, topic: str, fields: Sequence[str] | None) -> _Wanted:
-    root = definition_of(bag, topic)
-    columns = _names(root) if fields is None else fields
-    finder = LayoutFinder(root, tuple(name for name in columns if name not in STORED))
-    return _Wanted(columns, finder.find)
+    columns = list_fields(bag, topic) if fields is None else fields
+    taken = tuple(name for name in columns if name not in STORED)
+    return _Wanted(columns, LayoutFinder(definition_of(bag, topic), taken).find)
 
 
 def _decode_batch(
@@ -170,10 +170,6 @@ def _decode_topic(
         if name in wanted.columns:
             columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]
     return {name: columns[name] for name in wanted.columns}
-
-
-def _names(root: Struct) -> list[str]:
-    return [f".{name}" if name in STORED else name for name in leaf_fields(root)]
 
 
 def definition_of(bag: BagReader, topic: str) -> Struct:

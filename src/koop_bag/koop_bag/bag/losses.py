@@ -59,11 +59,12 @@ class StepReport:
 class LossCounter(StepReport):
     """A report that grows by one message, or by one column, at a time."""
 
-    __slots__ = ("_aside", "_interrupted", "_patience")
+    __slots__ = ("_aside", "_patience", "interrupted")
 
     def __init__(self) -> None:
         super().__init__()
-        self._interrupted = True
+        self.interrupted = True
+        """Whether nothing says that a message follows: none has come, or the sequence ended."""
         # the last step before one that went back, while what continues it is expected
         self._aside = -1
         self._patience = 0
@@ -72,8 +73,8 @@ class LossCounter(StepReport):
         """Count one message."""
         before, self.last = self.last, step
         self.count += 1
-        if self._interrupted:
-            self._interrupted = False
+        if self.interrupted:
+            self.interrupted = False
             if self.count == 1:
                 self.first = step
             else:
@@ -125,14 +126,9 @@ class LossCounter(StepReport):
         self.jumps += int((~near).sum())
         self.last = int(k[-1])
 
-    @property
-    def interrupted(self) -> bool:
-        """Whether nothing says that a message follows: none has come, or the sequence ended."""
-        return self._interrupted
-
     def interrupt(self) -> None:
         """Do not compare the next message with the last one: none was expected between them."""
-        self._interrupted = True
+        self.interrupted = True
         self._patience = 0
 
 

@@ -45,24 +45,12 @@ class BagTopic:
 
 
 class BagReader(AbstractContextManager["BagReader"]):
-    """A bag.
+    """A bag: its folder, a folder that holds one as `bag/`, an `.mcap` file, or the URL of one.
 
-    Parameters
-    ----------
-    path : path
-        A bag folder, a folder that holds one as `bag/`, or an `.mcap` file; or the URL of one,
-        such as s3://BUCKET/RUN.
-
-    Attributes
-    ----------
-    topics : tuple of BagTopic
-        In the order of their first announcement.
-    message_count : int
-        Messages that can be read.
-    start_time, end_time : int
-        First and last log time [ns since the epoch]; 0 for an empty bag.
-    complete : bool
-        False if the recorder did not close the bag. It is read up to its last complete chunk.
+    A URL is such as s3://BUCKET/RUN. The ``topics`` are in the order of their first announcement,
+    ``message_count`` messages can be read. A bag that its recorder did not close, which is not
+    ``complete``, is read up to its last complete chunk. ``start_time`` and ``end_time`` are first
+    and last log time [ns since the epoch]; 0 for an empty bag.
 
     Raises
     ------

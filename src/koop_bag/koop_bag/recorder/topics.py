@@ -99,11 +99,11 @@ class RecordedTopic:
             if self.losses is not None:
                 self.losses.interrupt()
 
-    def open_channel(self) -> int:
-        """Announce the topic in the bag."""
-        self.match()
-        self.channel = self._announce(self)
-        return self.channel
+    def announce(self) -> None:
+        """Give the topic a channel of the bag, at its first message."""
+        if not self.channel:
+            self.match()
+            self.channel = self._announce(self)
 
     def match(self) -> None:
         """Follow the QoS that the publishers offer, so that none of them is incompatible."""
@@ -178,8 +178,7 @@ def fetch(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any
     table = np.concatenate([NONE, *(rows.table for rows in taken[: len(topics)])])
     table = table[np.argsort(table[:, LOG_TIME], kind="stable")]
     for number in dict.fromkeys(table[:, CHANNEL].tolist()):
-        if not topics[number].channel:
-            topics[number].open_channel()
+        topics[number].announce()
     channels = np.array([topic.channel for topic in topics], np.int64)
     table[:, CHANNEL] = channels[table[:, CHANNEL]]
     return Batch(table, drain.data)
