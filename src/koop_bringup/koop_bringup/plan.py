@@ -26,11 +26,12 @@ from koop_loop.parameters import (
     CONTAINER,
     EXECUTABLES,
     NODES,
+    RIG,
+    RigConfig,
     build,
     names_of,
     with_model_beside,
 )
-from koop_loop.rig_program import RIG, RigConfig
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import load_for
 from relay_esc.config import EscConfig
@@ -266,7 +267,7 @@ def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
     values = file.values(f"{namespace}/rig", names_of(RIG["rig"])) if file is not None else {}
     config = build({"rig": _node_values(values)}, RIG)["rig"][RigConfig]
     assert isinstance(config, RigConfig)
-    return config.words()
+    return split_command("rig: command", config.command)
 
 
 def _check(

@@ -12,7 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.config import parameter_file
-from koop_core.config.parameter import ConfigError, ListenersConfig, NodeConfig, refuse_unknown
+from koop_core.config.parameter import (
+    ConfigError,
+    ListenersConfig,
+    NodeConfig,
+    Settings,
+    parameter,
+    refuse_unknown,
+)
 from koop_core.config.parameter_file import ROS_OWN
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_for
@@ -24,6 +31,20 @@ NODES: dict[str, tuple[type, ...]] = {
     "koopman_lifter": (LifterConfig, ModelConfig, ListenersConfig, NodeConfig),
     "relay_esc": (EscConfig, ListenersConfig, NodeConfig),
 }
+
+
+@dataclass(frozen=True)
+class RigConfig(Settings):
+    """The rig itself, as far as it is a program of this machine; no node reads it."""
+
+    command: str = parameter(
+        "",
+        "program, with its arguments, that is the rig or its driver: started with the loop, ended "
+        "with it, and its end ends the loop; empty: you start it yourself",
+    )
+
+
+RIG: dict[str, tuple[type, ...]] = {"rig": (RigConfig,)}
 EXECUTABLES = {  # package and name, in the order of starting: listeners come before speakers
     "recorder": ("koop_bag", "recorder"),
     "koop_guard": ("koop_guard", "guard"),

@@ -11,8 +11,7 @@ from koop_bag.recorder.config import RECORDER
 from koop_core.config.describe import parameter_file
 from koop_core.config.parameter import refuse_unknown
 from koop_guard.config import GUARD, RigLimits
-from koop_loop.parameters import NODES
-from koop_loop.rig_program import RIG
+from koop_loop.parameters import NODES, RIG
 from koop_tune.rig.rig_file import RigFile
 from relay_esc.config import EscConfig
 
