@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from koop_tune.excitation.channels import (
-    ChannelSettings,
     describe_channel,
     find_lines,
     pick_lines,
@@ -70,7 +69,3 @@ def test_lines_are_picked_from_a_spectrum_that_stand_out_from_what_is_around():
     assert (strongest.frequency, other.frequency) == pytest.approx((5.0, 12.0))
     assert strongest.amplitude == pytest.approx(math.sqrt(2.0 * 2.0 / 1.5), rel=0.01)
     assert strongest.share == pytest.approx(10.0 * other.share, rel=0.1)
-    weaker = ChannelSettings(line=2.0, share=1e-3)
-    assert len(pick_lines(frequency, power, weaker)) == 3
-    (only,) = pick_lines(frequency, power, ChannelSettings(lines=1))
-    assert only == strongest

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from koop_core.errors import InputError
+from koop_tune.excitation import static_map
 from koop_tune.excitation.design import (
     DESIGN,
     FLAT,
@@ -18,7 +19,6 @@ from koop_tune.excitation.design import (
     first_positions,
 )
 from koop_tune.excitation.holds import HOLDS, Hold
-from koop_tune.excitation.static_map import MapSettings
 from koop_tune.rig.rig_file import RigFile
 
 DT, PERIOD, SLOW = 0.02, 0.5, 0.08
@@ -319,8 +319,11 @@ def test_where_windows_become_longer_theta_goes_to_each_place_once():
 
 
 @pytest.mark.parametrize(("flat", "ended"), [(25.0, KNOWN), (1e9, TIME)])
-def test_once_more_holds_would_not_help_a_map_that_shows_anything_is_known(flat, ended):
-    settings = replace(DESIGN, most=COUNT + 1, map=MapSettings(flat=flat))
+def test_once_more_holds_would_not_help_a_map_that_shows_anything_is_known(
+    flat, ended, monkeypatch
+):
+    monkeypatch.setattr(static_map, "MAP", replace(static_map.MAP, flat=flat))
+    settings = replace(DESIGN, most=COUNT + 1)
     assert excite(Simulated(lambda u: -0.5 * u), settings=settings)[0].ended == ended
 
 

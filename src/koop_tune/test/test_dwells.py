@@ -12,7 +12,6 @@ from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Windows, choose_amplitude
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import (
-    DwellSettings,
     Rest,
     find_dwells,
     find_holds,
@@ -84,11 +83,6 @@ def test_of_a_rest_that_was_cut_the_part_in_which_the_rig_may_not_have_settled_d
 def test_a_recording_with_too_few_rests_is_refused(theta, message):
     with pytest.raises(InputError, match=message):
         find_rests(recording(theta), UNIT, 16)
-
-
-def test_how_many_rests_are_needed_is_a_setting():
-    theta = staircase([0.0, 0.3, 0.6, 1.0], 320)
-    assert find_rests(recording(theta), UNIT, 16, DwellSettings(values=4))[0].size == 4
 
 
 def oscillating(theta, frequency, amplitude, seed=0):

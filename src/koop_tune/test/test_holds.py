@@ -11,7 +11,6 @@ from surrogate_rigs import DT, make_amplitude
 from koop_tune.excitation.amplitude import Windows
 from koop_tune.excitation.holds import (
     Hold,
-    HoldSettings,
     Level,
     count_alike,
     find_level,
@@ -79,7 +78,6 @@ def test_the_settling_is_skipped_and_its_rise_is_told(step):
     assert level.count == 120
     flat = hold_logs(rng.normal(0.0, 0.02, 120))
     assert flat.is_settled()
-    assert not flat.is_settled(settings=HoldSettings(errors=0.0, slight=0.0))
     assert abs(flat.mean) < 4.0 * flat.error
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from surrogate_rigs import make_map
 
-from koop_tune.excitation.static_map import GRID, MapSettings, StaticMap
+from koop_tune.excitation.static_map import GRID, MAP, StaticMap
 
 GOOD = math.log(1.5)
 FINE = np.linspace(0.0, 1.0, 33)
@@ -29,7 +29,7 @@ def posterior(found, places):
         r = math.sqrt(3.0) * np.abs(a[:, None] - b[None]) / length
         return amplitude * (1.0 + r) * np.exp(-r)
 
-    noise = np.diag(np.maximum(found.error, found.settings.least_error) ** 2 + white)
+    noise = np.diag(np.maximum(found.error, MAP.least_error) ** 2 + white)
     gain = np.linalg.solve(k(found.u, found.u) + noise, k(found.u, places)).T
     mean = found.y.mean() + gain @ (found.y - found.y.mean())
     return mean, k(places, places) - gain @ k(found.u, places)
@@ -198,17 +198,16 @@ def test_the_steep_side_of_a_narrow_valley_is_no_cliff(steps):
     assert found.cliff(-1) is None
 
 
-def test_what_is_a_cliff_and_what_is_good_are_settings():
-    def step(u):
-        return np.where(u < 0.6, 0.0, math.log(6.0))
-
+def test_a_cliff_is_a_factor_of_eight_and_a_valley_as_wide_as_is_asked():
     u = np.sort(np.r_[np.linspace(0.0, 1.0, 9), 0.59, 0.61])
-    found = make_map(step, 0.02, u=u)
-    assert found.cliff(1) is None  # a factor of 6
-    settings = MapSettings(jump=4.0)
-    assert StaticMap(u, found.mean, found.error, 1.0, settings).cliff(1).outer == 0.61
-    wide = StaticMap(FINE, vee(FINE), np.full(FINE.size, 0.01), 1.0, MapSettings(good=3.0))
-    assert wide.valley().width == pytest.approx(2.0 * math.log(3.0) / 5.0, abs=0.01)
+    maps = [
+        make_map(lambda u, jump=jump: np.where(u < 0.6, 0.0, math.log(jump)), 0.02, u=u)
+        for jump in (6.0, 10.0)
+    ]
+    assert maps[0].cliff(1) is None
+    assert maps[1].cliff(1).outer == 0.61
+    wide = StaticMap(FINE, vee(FINE), np.full(FINE.size, 0.01), 1.0)
+    assert wide.valley(3.0).width == pytest.approx(2.0 * math.log(3.0) / 5.0, abs=0.01)
 
 
 def test_holds_that_differ_beyond_their_errors_widen_the_error_of_the_map():

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.losses import count_losses
 from koop_commission.fitness.samples import Samples
-from koop_commission.fitness.settings import DEFAULTS, CheckSettings
+from koop_commission.fitness.settings import DEFAULTS
 from koop_core.errors import InputError
 from koop_node.node.adapter import StepCounter
 
@@ -60,9 +60,7 @@ class Rhythm(NamedTuple):
         return self.lost / max(self.lost + self.received, 1)
 
 
-def measure_rhythm(
-    samples: Samples, dt: float, pace: float = 1.0, settings: CheckSettings = DEFAULTS
-) -> Rhythm:
+def measure_rhythm(samples: Samples, dt: float, pace: float = 1.0) -> Rhythm:
     """Measure how regularly messages arrive and how many are lost.
 
     Parameters
@@ -73,8 +71,6 @@ def measure_rhythm(
         Time between two measurements [s], of the rig's own time.
     pace : float
         Seconds of the rig's own time per second.
-    settings : CheckSettings
-        Thresholds.
 
     Raises
     ------
@@ -82,8 +78,8 @@ def measure_rhythm(
         If there are too few messages.
     """
     arrival = samples.arrival
-    if arrival.size < settings.fewest:
-        raise InputError(f"{arrival.size} messages arrived, {settings.fewest} are needed")
+    if arrival.size < DEFAULTS.fewest:
+        raise InputError(f"{arrival.size} messages arrived, {DEFAULTS.fewest} are needed")
     gaps = np.diff(arrival) * pace
     if samples.has_steps:
         source, lost = "steps", count_losses(np.unique(samples.step)).lost
@@ -97,7 +93,7 @@ def measure_rhythm(
     else:
         source = "arrival"
         interval = min(float(np.median(gaps)), float(gaps.mean()), key=lambda v: abs(v - dt))
-        lost = count_lost_by_arrival(arrival * pace, dt, settings.rise)
+        lost = count_lost_by_arrival(arrival * pace, dt)
     return Rhythm(
         received=arrival.size,
         rate=(arrival.size - 1) / max(float(arrival[-1] - arrival[0]), 1e-9),
@@ -109,9 +105,7 @@ def measure_rhythm(
     )
 
 
-def count_lost_by_arrival(
-    arrival: NDArray[np.float64], dt: float, rise: float = DEFAULTS.rise
-) -> int:
+def count_lost_by_arrival(arrival: NDArray[np.float64], dt: float) -> int:
     """Return how many messages of an unstamped source are lost.
 
     >>> kept = np.delete(np.arange(100) * 0.01, [3, 50, 51])
@@ -121,6 +115,6 @@ def count_lost_by_arrival(
     behind = arrival - arrival[0] - np.arange(arrival.size) * dt
     kept = np.minimum.accumulate(behind[::-1])[::-1]
     rises = np.diff(kept) / dt
-    jumps = int(np.round(rises[rises > rise]).sum())
+    jumps = int(np.round(rises[rises > DEFAULTS.rise]).sum())
     by_count = round(float(arrival[-1] - arrival[0]) / dt) - (arrival.size - 1)
     return max(min(jumps, by_count), 0)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from koop_commission.fitness.arrivals import Rhythm, measure_rhythm
 from koop_commission.fitness.reaction import Reaction, describe_change
 from koop_commission.fitness.samples import Samples
-from koop_commission.fitness.settings import DEFAULTS, CheckSettings
+from koop_commission.fitness.settings import DEFAULTS
 from koop_core.errors import InputError
 from koop_tune.excitation.amplitude import Windows, bridge_gaps
 from koop_tune.excitation.channels import ChannelSummary, Line, describe_channel, find_lines
@@ -38,62 +38,57 @@ class Finding(NamedTuple):
         return f"{self.level:<4}  {self.name:<10}  {self.text}"
 
 
-def judge_samples(
-    rig: RigFile, samples: Samples, pace: float, settings: CheckSettings = DEFAULTS
-) -> Iterator[Finding]:
+def judge_samples(rig: RigFile, samples: Samples, pace: float) -> Iterator[Finding]:
     """Yield the findings that need no command: arrival, channels, spectra.
 
     ``pace`` is the seconds of the rig's own time per second.
     """
     try:
-        rhythm = measure_rhythm(samples, rig.dt, pace, settings)
+        rhythm = measure_rhythm(samples, rig.dt, pace)
     except InputError as error:
         yield Finding(BAD, "arrival", str(error))
         return
-    yield judge_arrivals(rig.dt, rhythm, pace, settings)
+    yield judge_arrivals(rig.dt, rhythm, pace)
     low = rig.channel_min or (-math.inf,) * len(rig.names)
     high = rig.channel_max or (math.inf,) * len(rig.names)
     for name, x, least, most in zip(rig.names, samples.x.T, low, high, strict=True):
-        yield judge_channel(name, describe_channel(x), (least, most), settings)
+        yield judge_channel(name, describe_channel(x), (least, most))
     for name, x in zip(rig.names, samples.x.T, strict=True):
         if peaks := find_lines(x, rig.dt):
             yield describe_lines(name, peaks)
 
 
-def judge_arrivals(
-    dt: float, rhythm: Rhythm, pace: float, settings: CheckSettings = DEFAULTS
-) -> Finding:
+def judge_arrivals(dt: float, rhythm: Rhythm, pace: float) -> Finding:
     """Judge rate and losses of the messages."""
     lost = f"lost {rhythm.lost or 'none'}" + f" ({100.0 * rhythm.share:.2g} %)" * bool(rhythm.lost)
     text = (
         f"{rhythm.received} messages, {rhythm.rate:.4g} a second, "
         f"jitter {1e3 * rhythm.jitter:.2g} ms, {lost}, {COUNTED[rhythm.source]}"
     )
-    if abs(rhythm.interval / dt - 1.0) > settings.near:
+    if abs(rhythm.interval / dt - 1.0) > DEFAULTS.near:
         cause = "dt is wrong, or pace" + ", or messages are lost" * (rhythm.interval > dt)
         if rhythm.source == "stamps" and pace != 1.0:
             cause += ", or the stamps do not count the rig's own time"
         per = " of the rig's time" * (pace != 1.0)
         text = f"a message every {rhythm.interval:.4g} s{per}, but dt = {dt:g}: {cause}; {text}"
         return Finding(BAD, "arrival", text)
-    if rhythm.share > settings.lost_badly:
+    if rhythm.share > DEFAULTS.lost_badly:
         return Finding(BAD, "arrival", f"{text}: too many")
     stalled = 2.0 * rhythm.longest * rhythm.rate / rhythm.received  # one at an end shifts the count
     off = abs(rhythm.rate * dt / pace - 1.0)
-    if not rhythm.lost and off > settings.slow + stalled:
+    if not rhythm.lost and off > DEFAULTS.slow + stalled:
         # steps and stamps confirm dt; a simulated rig may be slower than its pace says
-        far = off > settings.near
+        far = off > DEFAULTS.near
         hint = " (is it simulated? set 'pace' in the rig file)" * far
         text = f"{text}; expected {pace / dt:.4g} a second of dt = {dt:g} s{hint}"
         return Finding(BAD if far or rhythm.source == "arrival" else NOTE, "arrival", text)
-    return Finding(NOTE if rhythm.share > settings.lost else OK, "arrival", text)
+    return Finding(NOTE if rhythm.share > DEFAULTS.lost else OK, "arrival", text)
 
 
 def judge_channel(
     name: str,
     summary: ChannelSummary,
     limits: tuple[float, float] = (-math.inf, math.inf),
-    settings: CheckSettings = DEFAULTS,
 ) -> Finding:
     """Judge the values of one channel; ``limits`` come from the rig file."""
     low, high = limits
@@ -111,17 +106,17 @@ def judge_channel(
         text = f"{span}, beyond its limit {limit:g} before theta moves"
         return Finding(BAD, "channel", text)
     rests = f"rests at one value for {100 * summary.held:.0f} % of the time"
-    if summary.held > settings.stuck:
+    if summary.held > DEFAULTS.stuck:
         return Finding(BAD, "channel", f"{name} {rests}: stuck")
     text = f"{span}, standard deviation {summary.deviation:.3g}"
     if summary.quantum:
         text += f", resolution {summary.quantum:.3g}"
     notes = []
-    if summary.held > settings.stuck / 5.0:
+    if summary.held > DEFAULTS.stuck / 5.0:
         notes.append(rests)
     if summary.saturated:
         notes.append(f"saturated for {100 * summary.saturated:.3g} % of the time")
-    if summary.quantum > settings.coarse * summary.deviation:
+    if summary.quantum > DEFAULTS.coarse * summary.deviation:
         notes.append("coarse: the resolution is a good part of the deviation")
     return Finding(NOTE if notes else OK, "channel", "; ".join([text, *notes]))
 
@@ -138,11 +133,9 @@ def describe_lines(name: str, peaks: Sequence[Line]) -> Finding:
     return Finding(OK, "spectrum", text)
 
 
-def judge_reaction(
-    reaction: Reaction, names: Sequence[str], between: str, settings: CheckSettings = DEFAULTS
-) -> Finding:
+def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Finding:
     """Judge whether theta reaches the rig; ``between`` are its values, in words."""
-    if reaction.p > max(settings.p, settings.p_more):
+    if reaction.p > max(DEFAULTS.p, DEFAULTS.p_more):
         why = "the command is not applied, or theta has no effect there"
         return Finding(BAD, "theta", f"{between}: nothing reacts (p = {reaction.p:.2f}): {why}")
     name, change = names[reaction.feature], reaction.change
@@ -161,18 +154,16 @@ class Blocks(NamedTuple):
     starts: tuple[int, ...]
 
     @classmethod
-    def choose(
-        cls, x: NDArray[np.float64], windows: Windows, settings: CheckSettings = DEFAULTS
-    ) -> Blocks:
+    def choose(cls, x: NDArray[np.float64], windows: Windows) -> Blocks:
         """Choose bands that hold nearly all of the power of samples, shape (M, n)."""
         short = windows._replace(length=min(windows.length, x.shape[0]))
         power = short.powers(x).mean(axis=0)
         share = np.cumsum(
             (power / np.maximum(power.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0)
         )
-        top = short.frequency[int(np.searchsorted(share, settings.power * share[-1]))]
+        top = short.frequency[int(np.searchsorted(share, DEFAULTS.power * share[-1]))]
         count = int(np.searchsorted(windows.frequency, top)) + 1
-        starts = np.unique(np.round(np.linspace(0, count, settings.bands + 1)).astype(int))
+        starts = np.unique(np.round(np.linspace(0, count, DEFAULTS.bands + 1)).astype(int))
         return cls(windows, tuple(int(start) for start in starts))
 
     def features(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -193,10 +184,10 @@ class Blocks(NamedTuple):
         return [*bands, *(f"mean {name}" for name in channels)]
 
 
-def choose_period(rig: RigFile, samples: Samples, settings: CheckSettings = DEFAULTS) -> float:
+def choose_period(rig: RigFile, samples: Samples) -> float:
     """Return the period to wait by [s]: of the strongest oscillation, or half of the slowest."""
     every = [line for x in samples.x.T for line in find_lines(x, rig.dt)]
     if not every:
-        return settings.blind * rig.dt
+        return DEFAULTS.blind * rig.dt
     strongest = max(every, key=lambda line: line.share).frequency
     return max(1.0 / strongest, 0.5 / min(line.frequency for line in every))

@@ -123,7 +123,7 @@ def check_rig(
     rng : random.Random, optional
         Draws the order in which theta is moved.
     settings : CheckSettings
-        Times and thresholds.
+        How long the rig is listened to, and may be silent.
     ask : callable
         Asks whether to do what may harm, and returns the answer.
     """
@@ -145,13 +145,13 @@ def check_rig(
             findings = [Finding(NOTE, "command", text)]
         if text := describe_other_commanders(client, rig):
             findings = [Finding(BAD, "command", text)]
-        findings += judge_samples(rig, samples, rig.pace, settings)
+        findings += judge_samples(rig, samples, rig.pace)
         yield from findings
         if not moves or any(finding.level == BAD for finding in findings):
             reason = "something above is BAD" if moves else "--still"
             yield Finding(NOTE, "theta", f"was not moved: {reason}")
             return
-        period = choose_period(rig, samples, settings)
+        period = choose_period(rig, samples)
         try:
             with TemporaryDirectory() as folder:
                 sections = {GUARD: guard_section(rig, note)}
@@ -159,7 +159,7 @@ def check_rig(
                     session = Session(rig, client, listener, command_types, nodes, note)
                     with session.command_theta():
                         draw = rng or random.Random()
-                        moved, settle, blocks = _move_theta(rig, session, period, draw, settings)
+                        moved, settle, blocks = _move_theta(rig, session, period, draw)
                         yield from moved
                         fit = all(finding.level != BAD for finding in moved)
                         if fit and ask(describe_test(rig, settings)):
@@ -188,7 +188,7 @@ def _listen(listener: Listener, rig: RigFile, settings: CheckSettings) -> Sample
 
 
 def _move_theta(
-    rig: RigFile, session: Session, period: float, rng: random.Random, settings: CheckSettings
+    rig: RigFile, session: Session, period: float, rng: random.Random
 ) -> tuple[list[Finding], int, Blocks]:
     """Test each knob, with blocks of growing length until the rig reacts or the time is over.
 
@@ -196,19 +196,19 @@ def _move_theta(
     several knobs one is enough: another that does nothing is noted.
     """
     theta, findings = session.theta.value, list[Finding]()
-    for factor, stages in settings.series:
-        observe = max(64, math.ceil(factor * settings.observe * period / rig.dt))
+    for factor, stages in DEFAULTS.series:
+        observe = max(64, math.ceil(factor * DEFAULTS.observe * period / rig.dt))
         settle = math.ceil(
-            max(factor * settings.settle * period, settings.late * rig.pace) / rig.dt
+            max(factor * DEFAULTS.settle * period, DEFAULTS.late * rig.pace) / rig.dt
         )
         whole = sum(count for count, _ in stages) * (settle + observe) * rig.dt
         if findings and rig.count * whole > rig.time:
             break  # the rig file does not allow it
         again = "nothing reacts yet, so in longer blocks: " * bool(findings)
         x = bridge_gaps(session.listener.samples().x)
-        blocks = Blocks.choose(x, Windows(observe, rig.dt), settings)
+        blocks = Blocks.choose(x, Windows(observe, rig.dt))
         findings = [
-            _move_knob(rig, session, theta, knob, again, settle, blocks, stages, rng, settings)
+            _move_knob(rig, session, theta, knob, again, settle, blocks, stages, rng)
             for knob in range(rig.count)
         ]
         if any(finding.level != BAD for finding in findings):
@@ -220,10 +220,9 @@ def _move_theta(
 def _move_knob(
     rig: RigFile, session: Session, theta: tuple[float, ...], knob: int, again: str, settle: int,
     blocks: Blocks, stages: Sequence[tuple[int, float]], rng: random.Random,
-    settings: CheckSettings,
 ) -> Finding:  # fmt: skip
     """Test whether the rig reacts to one knob."""
-    other = step_away(rig, theta, settings.step, knob)
+    other = step_away(rig, theta, DEFAULTS.step, knob)
     way = abs(other[knob] - theta[knob]) / rig.each("theta_rate")[knob]
     seconds = way + (settle + blocks.windows.length) * rig.dt
     counts, name = [count for count, _ in stages], rig.knob_names[knob]
@@ -246,7 +245,7 @@ def _move_knob(
         f"{name} from {theta[knob]:.4g} to {other[knob]:.4g}, {len(moved)} blocks of "
         f"{seconds:.3g} s"
     )
-    finding = judge_reaction(reaction, blocks.names(rig.names), between, settings)
+    finding = judge_reaction(reaction, blocks.names(rig.names), between)
     return finding._replace(name=name)
 
 

@@ -131,9 +131,7 @@ def find_lines(x: NDArray[np.float64], dt: float) -> list[Line]:
     return pick_lines(frequency, power)
 
 
-def pick_lines(
-    frequency: NDArray[np.float64], power: NDArray[np.float64], settings: ChannelSettings = CHANNELS
-) -> list[Line]:
+def pick_lines(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> list[Line]:
     """Return the narrow peaks of a spectrum under a Hann window, the strongest first.
 
     Parameters
@@ -148,7 +146,7 @@ def pick_lines(
     named: list[Line] = []
     rest = power.copy()
     rest[0] = 0.0
-    while len(named) < settings.lines and rest.any():
+    while len(named) < CHANNELS.lines and rest.any():
         peak = int(np.argmax(rest))
         if power[max(peak - 1, 1) : peak + 2].max() > power[peak]:  # the foot of one that was named
             rest[peak] = 0.0
@@ -156,12 +154,12 @@ def pick_lines(
         inner = slice(max(peak - WIDTH, 1), peak + WIDTH + 1)
         power_inside = power[inner]
         outer = np.r_[
-            power[max(peak - settings.around, 1) : inner.start],
-            power[inner.stop : peak + settings.around],
+            power[max(peak - CHANNELS.around, 1) : inner.start],
+            power[inner.stop : peak + CHANNELS.around],
         ]
         share = float(power_inside.sum()) / 1.5 / total
-        narrow = power[peak] > settings.line * np.median(outer) if outer.size else True
-        if named and not (narrow and share > settings.share):
+        narrow = power[peak] > CHANNELS.line * np.median(outer) if outer.size else True
+        if named and not (narrow and share > CHANNELS.share):
             break
         at = float(np.average(frequency[inner], weights=power_inside))
         named.append(Line(at, math.sqrt(2.0 * float(power_inside.sum()) / 1.5), share))

@@ -37,7 +37,7 @@ from koop_tune.excitation.amplitude import (
 )
 from koop_tune.excitation.channels import find_lines, should_listen
 from koop_tune.excitation.holds import Hold, Level, find_proven, longest_growth, usual_wander
-from koop_tune.excitation.static_map import MAP, MapSettings, StaticMap
+from koop_tune.excitation.static_map import MAP, StaticMap
 from koop_tune.origin import studied
 from koop_tune.rig.rig_file import RigFile
 
@@ -101,7 +101,6 @@ class DesignSettings(Settings):
         4.0, "distance of first positions over the one before, where nothing differed", low=1.1
     )
     overshoot: float = parameter(0.1, "way beyond, to come back from the other side", low=0.0)
-    map: MapSettings = MAP
 
 
 DESIGN = DesignSettings()
@@ -466,7 +465,7 @@ class Design:
                     return Move(inner)
                 if count < (3 if static_map.best_end is not None else s.ends):
                     return self._visit(end)
-            elif step < 0.5 and sure < s.map.ends + 1.0 and count < s.ends:
+            elif step < 0.5 and sure < MAP.ends + 1.0 and count < s.ends:
                 deviations = static_map.predict(np.array([end, best]))[1]
                 return self._visit(end if deviations[0] >= deviations[1] else best)
         return None
@@ -475,7 +474,7 @@ class Design:
         """Return where the valley may end, if that is not known well enough."""
         s, basin = self._settings, static_map.basin()
         valley = static_map.valley()
-        bound = static_map.least + math.log(s.map.good)
+        bound = static_map.least + math.log(MAP.good)
         doubt = 1.96 * static_map.deviation - np.abs(static_map.sense * static_map.curve - bound)
         inside = (static_map.grid >= basin.low) & (static_map.grid <= basin.high)
         unknown = float(np.mean((doubt > 0.0) & inside))
@@ -512,7 +511,7 @@ class Design:
         proven = self._find_proven(self.holds, levels)
         columns = ([h.u for h in self.holds], [x.mean for x in levels], [x.error for x in levels])
         u, mean, error = np.array(columns)[:, proven]
-        static_map = StaticMap(u, mean, error, self.rig.sense, self._settings.map)
+        static_map = StaticMap(u, mean, error, self.rig.sense)
         return static_map.now((np.cumsum(sizes) - 0.5 * sizes)[proven])
 
     def _find_proven(self, holds: Sequence[Hold], levels: Sequence[Level]) -> NDArray[np.bool_]:

@@ -145,11 +145,11 @@ class Level:
         """error^2 times the windows that count: larger, the slower the amplitude wanders."""
         return self.error**2 * (self.count - self.skip)
 
-    def is_settled(self, slight: float = 0.0, settings: HoldSettings = HOLDS) -> bool:
+    def is_settled(self, slight: float = 0.0) -> bool:
         """Return whether the rig has settled, or changes less than a slight log amplitude."""
         if abs(self.trend) < slight:
             return True
-        change = max(settings.errors * self.error, settings.slight)
+        change = max(HOLDS.errors * self.error, HOLDS.slight)
         return self.skip < self.count // 2 and abs(self.trend) < change
 
     def at_least(self, wander: float) -> Level:

@@ -111,8 +111,6 @@ class StaticMap:
         Logarithm of the level, and its standard error.
     sense : float
         +1 if little is wanted, else -1.
-    settings : MapSettings
-        How it is judged.
     motion : float
         Way of the map from the first hold to the last, in ranges.
     """
@@ -121,7 +119,6 @@ class StaticMap:
     mean: Array
     error: Array
     sense: float = 1.0
-    settings: MapSettings = MAP
     motion: float = 0.0
 
     def now(self, time: Array) -> StaticMap:
@@ -130,7 +127,7 @@ class StaticMap:
         A motion that is not beyond doubt is none, nor one of a map that differs from hold to hold:
         where an oscillation comes and goes, some motion explains by chance which were quiet.
         """
-        s, found = self.settings, self
+        s, found = MAP, self
         age = (time.max() - time) / max(float(np.ptp(time)), 1e-12)
         for reach in (s.fastest, 0.1 * s.fastest):
             kernel = found._fit[0].kernel_
@@ -152,7 +149,7 @@ class StaticMap:
     @property
     def _alpha(self) -> Array:
         """Variances of the holds."""
-        return np.asarray(np.clip(self.error, self.settings.least_error, 3.0) ** 2)
+        return np.asarray(np.clip(self.error, MAP.least_error, 3.0) ** 2)
 
     @cached_property
     def _fit(self) -> tuple[Any, float]:
@@ -161,7 +158,7 @@ class StaticMap:
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-        s = self.settings
+        s = MAP
         kernel = of_one(ConstantKernel, "constant_value")(1.0, (0.01, 30.0)) * of_one(
             Matern, "length_scale"
         )(0.3, (s.shortest, 3.0), nu=s.smoothness) + of_one(WhiteKernel, "noise_level")(
@@ -262,13 +259,13 @@ class StaticMap:
     @property
     def chi_squared(self) -> float:
         """Chi-squared of the holds about a constant."""
-        w = 1.0 / np.maximum(self.error, self.settings.least_error) ** 2
+        w = 1.0 / np.maximum(self.error, MAP.least_error) ** 2
         return float((w * (self.mean - np.average(self.mean, weights=w)) ** 2).sum())
 
     @property
     def flat(self) -> bool:
         """Whether the holds show nothing at all."""
-        return self.chi_squared < self.settings.flat * max(1.0, (self.u.size - 1) / 8.0)
+        return self.chi_squared < MAP.flat * max(1.0, (self.u.size - 1) / 8.0)
 
     def worse_by(self, end: float) -> tuple[float, float]:
         """Return by how much an end is worse than the best, and in standard errors."""
@@ -281,7 +278,7 @@ class StaticMap:
     @cached_property
     def interior(self) -> bool:
         """Whether there is an optimum inside: both ends are worse."""
-        s, ends = self.settings, [self.worse_by(end) for end in (0.0, 1.0)]
+        s, ends = MAP, [self.worse_by(end) for end in (0.0, 1.0)]
         return all(step > s.slight and sure > s.ends for step, sure in ends)
 
     @cached_property
@@ -302,7 +299,7 @@ class StaticMap:
 
     def valley(self, factor: float | None = None) -> Interval:
         """Return the positions around the best up to where the curve is ``factor`` times it."""
-        good = self._curve[0] <= self.least + math.log(factor or self.settings.good)
+        good = self._curve[0] <= self.least + math.log(factor or MAP.good)
         i = round(self.best() * (GRID - 1))
         below, above = np.flatnonzero(~good[:i]), np.flatnonzero(~good[i + 1 :])
         low = self.grid[below[-1] + 1] if below.size else 0.0
@@ -335,7 +332,7 @@ class StaticMap:
         A cliff has a good and a bad side, the valley of a narrow optimum two bad ones: the jump of
         a cliff is narrow beside the valley.
         """
-        s = self.settings
+        s = MAP
         order = np.argsort(side * self.u)
         u, y = self.u[order], self.y[order]
         best = float(self.least)

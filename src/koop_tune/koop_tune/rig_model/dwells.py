@@ -135,9 +135,7 @@ class Dwells:
         ]
 
 
-def find_rests(
-    loaded: Loaded, scale: Scale, length: int, settings: DwellSettings = DWELLS
-) -> tuple[NDArray[np.float64], list[Rest]]:
+def find_rests(loaded: Loaded, scale: Scale, length: int) -> tuple[NDArray[np.float64], list[Rest]]:
     """Return the positions where theta rested, and every rest, in windows of some samples.
 
     Raises
@@ -152,30 +150,30 @@ def find_rests(
     pieces: list[list[tuple[float, int, int]]] = []  # of each rest, which lost messages cut
     for segment in list_segments(loaded.begins):
         part = u[segment]
-        moved = ~(np.abs(np.diff(part)) <= settings.still / length)  # NaN moves
+        moved = ~(np.abs(np.diff(part)) <= DWELLS.still / length)  # NaN moves
         joins, finite = bool(pieces), [*np.isfinite(part).tolist(), False]
-        for a, b in pairwise(_split(part, moved, settings.same)):
+        for a, b in pairwise(_split(part, moved, DWELLS.same)):
             if not finite[a]:
                 joins = bool(pieces)
                 continue
-            if b - a < settings.fewest * length and not joins and finite[b]:
+            if b - a < DWELLS.fewest * length and not joins and finite[b]:
                 continue  # theta moved on: most are of one sample
             value = float(np.median(part[a:b]))
-            if not joins or abs(value - pieces[-1][-1][0]) > settings.same:
+            if not joins or abs(value - pieces[-1][-1][0]) > DWELLS.same:
                 pieces.append([])
             joins = False
             pieces[-1].append((value, segment.start + a, segment.start + b))
-    rests = [rest for each in pieces for rest in _settled(each, settings.fewest, length)]
+    rests = [rest for each in pieces for rest in _settled(each, DWELLS.fewest, length)]
     values: list[list[float]] = []
     for value in sorted(value for value, _, _ in rests):
-        if not values or value - values[-1][0] > settings.same:  # rests of a loop: no chain
+        if not values or value - values[-1][0] > DWELLS.same:  # rests of a loop: no chain
             values.append([])
         values[-1].append(value)
-    if len(values) < settings.values:
+    if len(values) < DWELLS.values:
         raise InputError(
-            f"theta was held at {len(values)} values for {settings.fewest} windows of {length} "
+            f"theta was held at {len(values)} values for {DWELLS.fewest} windows of {length} "
             f"samples without a gap, the recording has {np.count_nonzero(loaded.begins)} parts: at "
-            f"least {settings.values} are needed: record with 'koop excite', without losses"
+            f"least {DWELLS.values} are needed: record with 'koop excite', without losses"
         )
     centres = np.array([np.mean(group) for group in values])
     return centres, [Rest(int(np.argmin(np.abs(centres - v))), a, b) for v, a, b in rests]

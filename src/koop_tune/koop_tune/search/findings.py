@@ -16,7 +16,7 @@ from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Amplitude, Array, Mode, Windows, window_length
 from koop_tune.excitation.design import DESIGN, Design
 from koop_tune.excitation.safe_range import SafeRange
-from koop_tune.excitation.static_map import StaticMap
+from koop_tune.excitation.static_map import MAP, StaticMap
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells, find_dwells, find_holds
@@ -191,7 +191,7 @@ def _find_best(
     return mode._replace(
         theta=scale.theta_at(best), best=own.sense * own.least,
         error=float(own.predict(np.array([best]))[1][0]),
-        worse=math.exp(max(step - own.settings.ends * error, 0.0)),
+        worse=math.exp(max(step - MAP.ends * error, 0.0)),
     )  # fmt: skip
 
 
@@ -268,7 +268,7 @@ def _drowned(findings: Findings) -> str:
     best = findings.scale.theta_at(findings.static_map.best())
     seen = f"the amplitude of {findings.name} has an optimum near {best:.4g}, but"
     clearest = max(findings.costs, key=lambda each: each.evidence)
-    if clearest.clearest and clearest.evidence > clearest.reference.settings.ends**2:
+    if clearest.clearest and clearest.evidence > MAP.ends**2:
         other = findings.scale.theta_at(clearest.clearest[1].best())
         return (
             f"{seen} the cost {clearest.cost.name} leads to {other:.4g}: it sums what that "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model import surrogate
 from koop_tune.rig_model.surrogate import BLOCKS, Surrogate
-from koop_tune.search.settings import SEARCH, SearchSettings
+from koop_tune.search.settings import CONVERGENCE, SEARCH, SearchSettings
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
@@ -206,7 +206,7 @@ def judge_run(
     logs = 0.5 * task.sense * np.log(power) - best  # above 0, more or less
     half = BLOCKS // 2
     late = 0.5 * task.sense * math.log(float(power[half:].mean())) - best
-    inside = np.flatnonzero(logs <= task.settings.convergence.bound(worst - best))
+    inside = np.flatnonzero(logs <= CONVERGENCE.bound(worst - best))
     share = (inside[0] + 1) / BLOCKS if inside.size else 2.0
     distance = float(np.abs(np.clip(u, 0.0, 1.0)[half:] - i / (s.amplitudes.size - 1)).mean())
     start = 0.5 * task.sense * math.log(float(power[0])) - best

@@ -54,7 +54,6 @@ class SearchSettings(Settings):
     top: int = studied(12, "constants of the last coarse round", low=1)
     fine: int = studied(3, "constants that are run sample by sample", low=1)
     fine_runs: int = studied(12, "runs of each of these", low=1)
-    convergence: Convergence = CONVERGENCE
 
 
 SEARCH = SearchSettings()

@@ -207,7 +207,7 @@ def search_cost(
         trials = search(task, settings.effort, settings.seed, workers)
         if best is None or trials[0].rank < best.trials[0].rank - math.log(settings.as_good):
             best = SearchedCost(maps, trials, task)
-        if best.score < math.log(settings.search.convergence.good):
+        if best.score < math.log(CONVERGENCE.good):
             break
     assert best is not None
     return best
