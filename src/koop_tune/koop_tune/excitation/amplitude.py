@@ -513,9 +513,11 @@ def find_step(x: Array) -> Array:
     """
     steps = np.full(x.shape[1], math.inf)
     for j, column in enumerate(x.T):
-        values = np.unique(column[np.isfinite(column)])
-        if 1 < values.size < AMPLITUDE.repeated * column.size:
-            steps[j] = np.diff(values).min()
+        values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
+        # a stop repeats one value without the others being steps
+        if 1 < values.size < AMPLITUDE.repeated * (column.size - counts.max()):
+            between = np.diff(values)
+            steps[j] = between[between > 1e-9 * np.ptp(values)].min()
     return steps
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, parameter
-from koop_tune.excitation.amplitude import bridge_gaps
+from koop_tune.excitation.amplitude import bridge_gaps, find_step
 
 WIDTH = 2  # bins to each side that belong to a line under a Hann window
 
@@ -19,7 +19,6 @@ WIDTH = 2  # bins to each side that belong to a line under a Hann window
 class ChannelSettings(Settings):
     """When values count as quantised or at a stop, and a peak of a spectrum as a line."""
 
-    levels: float = parameter(0.25, "values over samples of a quantised channel", low=0.0)
     stop: float = parameter(0.01, "share of the samples at an extreme that is a stop", low=0.0)
     flatter: float = parameter(3.0, "that share over the share of a sine", low=1.0)
     fewest: int = parameter(128, "samples before which there is no spectrum", low=2)
@@ -82,20 +81,12 @@ def describe_channel(x: NDArray[np.float64]) -> ChannelSummary:
     low, high = float(usable.min()), float(usable.max())
     changes = np.flatnonzero(np.diff(usable) != 0.0)
     rests = np.diff(changes, prepend=-1, append=usable.size - 1)
-    quantum = _quantum(usable)
+    step = float(find_step(usable[:, None])[0])
+    quantum = step if math.isfinite(step) else 0.0
     return ChannelSummary(
         low, high, float(usable.std()), bad, float(rests.max()) / usable.size, quantum,
         _saturated(usable, low, high, quantum),
     )  # fmt: skip
-
-
-def _quantum(x: NDArray[np.float64]) -> float:
-    values, counts = np.unique(x, return_counts=True)
-    # a stop repeats one value without the others being steps
-    if values.size < 2 or values.size > CHANNELS.levels * (x.size - counts.max()):
-        return 0.0
-    steps = np.diff(values)
-    return float(np.median(steps[steps > 1e-9 * (values[-1] - values[0])]))
 
 
 def _saturated(x: NDArray[np.float64], low: float, high: float, quantum: float) -> float:
