@@ -13,11 +13,11 @@ from typing import Any
 from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError, Settings, parameter
 from koop_study.experiments.seeds import Seeds
-from koop_study.experiments.stats import cumulative, quantile
+from koop_study.experiments.stats import quantile
 from koop_study.family.config import FamilyConfig
 from koop_study.family.settings import FAMILY
 from koop_study.workers.units import Unit
-from koop_view.report.document import Column, Figure, Panel, Section, Table
+from koop_view.report.document import Column, Section, Table
 
 Row = dict[str, Any]
 
@@ -90,14 +90,6 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
         "all. A rig with an optimum that is refused counts as a failure; a refusal that says to "
         "leave θ at a limit is wrong only if that limit is not within 1.5 either.",
         [_summary(config, rows), _mistakes(rows)],
-        [
-            Figure(
-                "commission_figure",
-                "Amplitude over that at the best fixed θ, from the worse side; cumulative over the "
-                "rigs with an optimum.",
-                (_panel(rows),),
-            )
-        ],
     )
 
 
@@ -186,10 +178,3 @@ def _mistakes(rows: list[Row]) -> Table:
                 (row["seed"], row["stratum"], row["shape"], row["verdict"], word, _worse(row))
             )
     return table
-
-
-def _panel(rows: list[Row]) -> Panel:
-    optimum = [row for row in rows if row["has_optimum"]]
-    curves = {"commissioned": [ratio for row in optimum if (ratio := _worse(row)) is not None]}
-    label = "amplitude over that at the best fixed θ"
-    return Panel(label, "share of rigs [%]", cumulative(curves, len(optimum)), log_x=True)
