@@ -36,18 +36,8 @@ def tune_folders(
 ) -> bool:
     """Tune from recordings, write the results and print them; return whether there is an optimum.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig.
-    folders : sequence of Path
-        Folders of ``koop excite``, or bags.
-    out : Path
-        Folder of the results; the parameter file is written last.
-    settings : TuningSettings
-        Budget and thresholds.
-    note : Path, optional
-        File that notes where theta was left, for the guard.
+    ``folders`` are those of ``koop excite``, or bags. Into ``out`` the parameter file is written
+    last; ``note`` is the file that notes where theta was left, for the guard.
 
     Raises
     ------

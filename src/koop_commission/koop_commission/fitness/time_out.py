@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_commission.fitness.fitness import NOTE, OK, Finding
-from koop_commission.fitness.settings import DEFAULTS, CheckSettings
+from koop_commission.fitness.settings import DEFAULTS
 from koop_core.config.knobs import format_knobs
 from koop_tune.rig.rig_file import RigFile
 
@@ -42,14 +42,12 @@ class Telling(NamedTuple):
         return float((features @ self.weights - self.far) / (self.safe - self.far))
 
 
-def tell_apart(
-    far: NDArray[np.float64], safe: NDArray[np.float64], settings: CheckSettings = DEFAULTS
-) -> Telling:
+def tell_apart(far: NDArray[np.float64], safe: NDArray[np.float64]) -> Telling:
     """Weigh the features of blocks, shape (blocks, f), by Fisher's rule, as if independent."""
     spread = np.concatenate([far, safe]).std(axis=0) + 1e-12
     within = 0.5 * (far.var(axis=0, ddof=1) + safe.var(axis=0, ddof=1)) / spread**2
     change = (safe.mean(axis=0) - far.mean(axis=0)) / spread
-    weights = change / (within + settings.lucky) / spread
+    weights = change / (within + DEFAULTS.lucky) / spread
     at_far, at_safe = far @ weights, safe @ weights
     noise = np.sqrt(0.5 * (at_far.var(ddof=1) + at_safe.var(ddof=1)))
     mean_far, mean_safe = float(at_far.mean()), float(at_safe.mean())
@@ -95,12 +93,12 @@ def judge_time_out(
     return Finding(NOTE, NAME, text)
 
 
-def describe_doubt(telling: Telling, settings: CheckSettings = DEFAULTS) -> str:
+def describe_doubt(telling: Telling) -> str:
     """Return why the test cannot tell, empty if it can."""
-    if telling.clear >= settings.apart:
+    if telling.clear >= DEFAULTS.apart:
         return ""
     return (
         "of the rig was not tested: the oscillation at theta_safe differs by "
         f"{telling.clear:.2g} standard deviations only from the one beside it, "
-        f"{settings.apart:g} are needed"
+        f"{DEFAULTS.apart:g} are needed"
     )

@@ -38,16 +38,7 @@ class RunCurves(NamedTuple):
 
 
 def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves:
-    """Read a recording.
-
-    Parameters
-    ----------
-    bag : Path
-        The recording.
-    amplitude : Amplitude
-        What is summed.
-    steps : sequence of int
-        First and last step with the loop closed.
+    """Read a recording; ``steps`` are the first and last with the loop closed.
 
     Raises
     ------

@@ -112,20 +112,9 @@ def check_rig(
 ) -> Iterator[Finding]:
     """Yield the findings of a live rig.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig.
-    moves : bool
-        Whether theta is moved.
-    note : Path, optional
-        File that notes where theta was left.
-    rng : random.Random, optional
-        Draws the order in which theta is moved.
-    settings : CheckSettings
-        How long the rig is listened to, and may be silent.
-    ask : callable
-        Asks whether to do what may harm, and returns the answer.
+    ``note`` is the file that notes where theta was left, ``rng`` draws the order in which theta is
+    moved, ``settings`` say how long the rig is listened to and may be silent; ``ask`` asks whether
+    to do what may harm, and returns the answer.
     """
     state, command = rig.measured_source.topic, rig.command_topics
     with Client("_koop_check") as client:
@@ -261,7 +250,7 @@ def step_away(
 
 def describe_test(rig: RigFile, settings: CheckSettings) -> str:
     """Return the question whether to test for a time-out of the rig."""
-    far = format_knobs(step_away(rig, rig.each("theta_safe"), settings.step), ".4g")
+    far = format_knobs(step_away(rig, rig.each("theta_safe"), DEFAULTS.step), ".4g")
     return (
         f"      Has the rig a time-out of its own? To see, theta stays at {far} for up to "
         f"{settings.silence:g} s without a guard, and nothing is commanded. Test that?"
@@ -276,12 +265,12 @@ def _test_time_out(
     What the guard then does is no longer looked at: it may trip for what it did not hear.
     """
     safe = rig.each("theta_safe")
-    far = step_away(rig, safe, settings.step)
+    far = step_away(rig, safe, DEFAULTS.step)
     known: dict[tuple[float, ...], list[NDArray[np.float64]]] = {safe: [], far: []}
-    for theta in tuple(known) * settings.known:
+    for theta in tuple(known) * DEFAULTS.known:
         known[theta].append(_observe(rig, session, theta, settle, blocks))
-    telling = tell_apart(np.array(known[far]), np.array(known[safe]), settings)
-    if doubt := describe_doubt(telling, settings):
+    telling = tell_apart(np.array(known[far]), np.array(known[safe]))
+    if doubt := describe_doubt(telling):
         return Finding(NOTE, TIME_OUT, doubt)
     length, listener = blocks.windows.length, session.listener
     shares: list[float] = []

@@ -88,14 +88,8 @@ def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
 def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationProgress:
     """Move theta over its range and record, until the static map is known or the time is over.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig, which runs.
-    folder : Path
-        Folder of the recordings; an excitation that was begun there is resumed.
-    note : Path, optional
-        File that notes where theta was left.
+    An excitation that was begun in the folder is resumed; ``note`` is the file that notes where
+    theta was left.
 
     Raises
     ------
@@ -138,18 +132,7 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
 class Excitation:
     """One part of an excitation, from its first state to its end.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig.
-    folder : Path
-        Folder of all parts.
-    state : ExcitationProgress
-        Done so far; it grows.
-    recorded : list of RecordedHold
-        The same, as recorded.
-    session : Session
-        With the rig.
+    ``state`` is what was done so far, and grows; ``recorded`` the same, as recorded.
     """
 
     def __init__(

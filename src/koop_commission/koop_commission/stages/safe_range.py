@@ -65,15 +65,7 @@ def describe(safe: SafeRange, rig: RigFile) -> str:
 
 
 class Margins:
-    """Margins of a constraint, as the lifter tells them.
-
-    Parameters
-    ----------
-    session : Session
-        With the rig.
-    window : int
-        States in a window of the statistic.
-    """
+    """Margins of a constraint, as the lifter tells them; ``window`` states have its statistic."""
 
     def __init__(self, session: Session, window: int) -> None:
         self._listener = session.listen_to_margins()

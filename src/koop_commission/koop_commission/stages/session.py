@@ -41,20 +41,8 @@ BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 class Session:
     """The samples of a rig, and its theta.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig.
-    client : Client
-        Observer in the ROS domain.
-    listener : Listener
-        Receives the states.
-    command_types : sequence of str
-        Message types of the command's topics, ``pkg/msg/Type``.
-    nodes : LiveNodes
-        The guard, and what runs beside.
-    note : Path, optional
-        File that notes where theta was left.
+    ``command_types`` are the message types of the command's topics, ``pkg/msg/Type``, ``nodes`` the
+    guard and what runs beside; ``note`` is the file that notes where theta was left.
 
     Attributes
     ----------
@@ -198,14 +186,8 @@ class Session:
 def open_session(rig: RigFile, nodes: LiveNodes, note: Path | None = None) -> Iterator[Session]:
     """Start the nodes beside a rig and command its theta; at the end theta returns first.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig, which runs.
-    nodes : LiveNodes
-        Guard, lifter and recorder, and others that run beside.
-    note : Path, optional
-        File that notes where theta was left.
+    ``nodes`` are guard, lifter and recorder, and others that run beside; ``note`` is the file that
+    notes where theta was left.
 
     Raises
     ------

@@ -63,14 +63,8 @@ def main(args: argparse.Namespace) -> int:
 def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification:
     """Close the loop from each start, and return the content of verify.json.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig, which runs.
-    folder : Path
-        Folder of the excitation, which holds ``tuned``; a round that was begun there is resumed.
-    note : Path, optional
-        File that notes where theta was left.
+    The folder is that of the excitation and holds ``tuned``; a round that was begun there is
+    resumed. ``note`` is the file that notes where theta was left.
 
     Raises
     ------
@@ -123,14 +117,7 @@ def _read_excitation(rig: RigFile, folder: Path) -> tuple[RigFile, ExcitationPro
 def judge(rig: RigFile, folder: Path, index: int) -> Verification:
     """Write the verdict on the controller of ``tuned`` into verify.json, and return its content.
 
-    Parameters
-    ----------
-    rig : RigFile
-        The rig.
-    folder : Path
-        Folder of the excitation.
-    index : int
-        Round in which that controller was verified; the first is 0.
+    ``index`` is the round in which that controller was verified; the first is 0.
     """
     aim = tune_result.read(folder / TUNED).make_aim(_read_excitation(rig, folder)[0])
     rounds = load_verification(folder).rounds

@@ -49,18 +49,7 @@ class Spectra(NamedTuple):
 def spectra_by_theta(
     loaded: Loaded, scale: Scale, dt: float, length: int = DWELLS.window
 ) -> Spectra:
-    """Return the spectra at each value of theta.
-
-    Parameters
-    ----------
-    loaded : Loaded
-        The recording.
-    scale : Scale
-        Theta's range.
-    dt : float
-        Time between two states [s].
-    length : int
-        Samples of a window; a rest has some.
+    """Return the spectra at each value of theta; a rest has some windows of ``length`` samples.
 
     Raises
     ------

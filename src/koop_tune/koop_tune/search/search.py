@@ -93,19 +93,7 @@ def unusual(task: Task, c: Constants) -> float:
 
 @dataclass(frozen=True)
 class Trial:
-    """Constants and the outcomes of their runs.
-
-    Attributes
-    ----------
-    constants : Constants
-        What was tried.
-    outcomes : list of Outcome
-        Each run's.
-    unusual : float
-        See :func:`unusual`.
-    percentile : float
-        Percentile of the runs' scores that counts.
-    """
+    """Constants and the outcomes of their runs; ``percentile`` of their scores counts."""
 
     constants: Constants
     outcomes: list[Outcome]
@@ -131,16 +119,7 @@ def search(
 ) -> list[Trial]:
     """Return the best constants first, the better half of each round having run more often.
 
-    Parameters
-    ----------
-    task : Task
-        What is to be controlled.
-    effort : float
-        Search budget (1 = default).
-    seed : int
-        Seed of the draws.
-    workers : int
-        Threads.
+    ``effort`` is the search budget (1 = default), ``workers`` the number of threads.
     """
     s = task.settings
     first = 2 ** max(round(math.log2(s.first * effort)), 3)

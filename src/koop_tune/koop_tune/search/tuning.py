@@ -29,17 +29,7 @@ Report = Callable[[str], object]
 
 @dataclass(frozen=True)
 class SearchedCost:
-    """A cost with its best constants.
-
-    Attributes
-    ----------
-    maps : CostMaps
-        The cost.
-    trials : list of Trial
-        The best constants first.
-    task : Task
-        Rigs on which they were found.
-    """
+    """A cost with its constants, the best first, and the rigs on which they were found."""
 
     maps: CostMaps
     trials: list[Trial]
