@@ -175,7 +175,7 @@ def full_disk():
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, monkeypatch):
+def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path):
     file, report = tmp_path / "rig.yaml", tuned / "commission.json"
     with full_disk():
         with pytest.raises(LiveError, match=r"commission.json: .*: make room"):
@@ -186,19 +186,8 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
             Commissioning(ONE, file, tmp_path / "new")
     assert whole_file.read_json(report) == {"fit": True}
     assert not (tmp_path / "controller.yaml").exists()  # which tune would take for its own
-    whole = Commissioning(ONE, file, tmp_path / "new")
+    Commissioning(ONE, file, tmp_path / "new")
     assert rig_file.read(tmp_path / "new/rig.yaml") == ONE
-
-    def tune(rig, folders, out, settings, note, **_):
-        out.mkdir(exist_ok=True)
-        (out / "controller.yaml").touch()
-        with full_disk():
-            (out / "controller.yaml").write_text("koopman_lifter:")
-
-    monkeypatch.setattr("koop_tune.tune_folders.tune_folders", tune)
-    with pytest.raises(LiveError, match=r"tuned: .*: make room"):
-        whole._tune(1)
-    assert not (tmp_path / "new/tuned/controller.yaml").exists()
 
 
 def test_a_rig_file_may_be_mended_until_it_passed_the_check(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from koop_commission.stages.excite import describe_result, excite
 from koop_commission.stages.session import resumable
 from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
-from koop_core.errors import LiveError
 from koop_guard.note import note_of
 from koop_tune.excitation import progress
 from koop_tune.excitation.design import FLAT, KNOWN
@@ -92,15 +90,11 @@ class Commissioning:
     ) -> None:
         self._rig, self._folder, self._announce = rig, folder, announce
         self._note = note_of(file)
-        copy, new = folder / RIG, folder / f"{RIG}.new"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            checked = (folder / NAME).exists()  # until then the file may be mended
-            if not (checked and copy.exists()):
-                shutil.copyfile(file, new)
-                new.rename(copy)
-        except OSError as error:
-            raise LiveError(whole_file.describe_failure(copy, error)) from None
+        copy = folder / RIG
+        folder.mkdir(parents=True, exist_ok=True)
+        checked = (folder / NAME).exists()  # until then the file may be mended
+        if not (checked and copy.exists()):
+            whole_file.write_bytes(copy, file.read_bytes())
         progress.refuse_other_rig(copy, rig_file.read(copy), rig)
 
     def run(self) -> int:
@@ -155,12 +149,8 @@ class Commissioning:
         loops = [(self._folder / run.bag).parent for item in rounds for run in item.runs]
         if (slowdown := find_slowdown(rounds)) > 1.0:
             print(f"the rig is taken to be {slowdown:.3g} times slower than its dwell points show")
-        try:
-            settings = TuningSettings(seed=number - 1, slowdown=slowdown)
-            return tune_folders(self._rig, [self._folder, *loops], out, settings, self._note)
-        except OSError as error:
-            (out / CONTROLLER).unlink(missing_ok=True)  # written last: it may be torn
-            raise LiveError(whole_file.describe_failure(out, error)) from None
+        settings = TuningSettings(seed=number - 1, slowdown=slowdown)
+        return tune_folders(self._rig, [self._folder, *loops], out, settings, self._note)
 
     def _set_aside(self, number: int) -> None:
         """Keep the controller of a round under its number."""

@@ -76,11 +76,6 @@ class Contents:
         return str(path) if path.exists() else "RIG.YAML"
 
     @property
-    def is_excited(self) -> bool:
-        """Whether the map is known, or the time over."""
-        return bool(self.excitation.ended)
-
-    @property
     def feature(self) -> str:
         """The amplitude in words; empty before anything reacts."""
         amplitude = self.excitation.amplitude
@@ -98,15 +93,6 @@ class Contents:
             return {}
         theta, levels, errors, *_ = map(list, zip(*holds, strict=True))
         return {0: Points([each[0] for each in theta], np.exp(levels).tolist(), errors)}
-
-    @property
-    def amplitudes(self) -> list[tuple[float, tuple[float, ...]]]:
-        """The amplitude of each hold that is known, and where theta was."""
-        if self.rig.count == 1:
-            points = self.holds_by_knob.get(0, Points([], [], []))
-            return [(y, (theta,)) for theta, y in zip(points.theta, points.level, strict=True)]
-        known = self.excitation.amplitude is not None
-        return [(float(np.exp(h.level)), h.theta) for h in self.excitation.holds if known]
 
 
 def read_contents(folder: Path) -> Contents:

@@ -27,7 +27,7 @@ def list_stages(c: Contents) -> Iterator[Stage]:
     folder, rig, state = c.folder, c.rig_file, c.excitation
     yield Stage("Rig", DONE, f"{', '.join(c.rig.names)} measured; theta on {c.rig.command_topics}")
     text = f"{len(state.done)} holds in {state.elapsed:.0f} s"
-    if not c.is_excited:
+    if not state.ended:
         yield Stage("Excite", MISSING, f"{text}; to resume: ./koop excite {rig} --out {folder}")
     else:
         over = {KNOWN: "the map is known", FLAT: "nothing reacts"}.get(state.ended)
@@ -58,13 +58,16 @@ def write_sentences(c: Contents) -> list[str]:
 
 
 def _describe_rig(c: Contents) -> str:
-    rig, held = c.rig, c.amplitudes
+    rig, state = c.rig, c.excitation
+    held, every = (
+        [(math.exp(hold.level), hold.theta) for hold in holds if state.amplitude is not None]
+        for holds in (state.holds, state.done)
+    )
     span = f"theta from {rig.spell('theta_min')} to {rig.spell('theta_max')}"
     if not held:
         return f"The oscillation over {span} is not known yet."
-    aside = [(math.exp(hold.level), hold.theta) for hold in c.excitation.aside]
     best, theta = min(held, key=lambda pair: rig.sense * pair[0])
-    worst, far = max([*held, *aside], key=lambda pair: rig.sense * pair[0])
+    worst, far = max(every, key=lambda pair: rig.sense * pair[0])
     at = spell(theta)
     valley = ""
     if c.tuned.controller and (fit := c.tuned.static_map):  # the least hold is that by chance

@@ -8,8 +8,8 @@ from pathlib import Path
 from koop_commission.report.contents import Contents, read_contents
 from koop_commission.report.sections import make_sections
 from koop_commission.report.verdict import Stage, list_stages, write_sentences
-from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError
+from koop_core.whole_file import write_text
 from koop_view.report import markup
 
 NAME = "report.html"
@@ -32,10 +32,7 @@ def write_report(folder: Path) -> Path:
         be written.
     """
     page, path = _make_page(read_contents(folder)), folder / NAME
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    write_text(path, page)
     return path
 
 

@@ -145,7 +145,7 @@ class ClosedLoop:
         while (count := states.count) < end:
             due = min(count + every, end)
             session.show = lambda: session.draw("loop", (states.count - closed) * dt, seconds)
-            _wait_for(session, due)
+            session.wait_until(lambda: states.count >= due)  # noqa: B023 - called at once
             x = states.samples(max(closed, due - tail), due).x
             if x.shape[0] >= amplitude.windows.length:
                 squares = amplitude.squares(amplitude.windows.powers(x))
@@ -159,10 +159,6 @@ def find_broken(margins: Samples, loop: Samples) -> float:
     """Return the share of a loop's second half in which its constraint was broken."""
     late = margins.x[margins.step >= loop.step[loop.step.size // 2], 0]
     return float((late < 0.0).mean()) if late.size else 0.0
-
-
-def _wait_for(session: Session, count: int) -> None:
-    session.wait_until(lambda: session.listener.count >= count)
 
 
 def _has_direction(answers: Listener) -> bool:
