@@ -21,7 +21,7 @@ def answered(path, answers):
 
 
 @pytest.fixture
-def rig(probe):
+def rig(probe, request):
     """A rig that says three numbers a message, without a stamp, and listens to two Float64.
 
     The third one does not change.
@@ -30,8 +30,9 @@ def rig(probe):
     for knob in ("stiffness", "damping"):
         probe.node.create_subscription(Float64, f"/tower/{knob}", lambda message: None, 10)
     swing = itertools.cycle((0.5, -0.5))
+    period = getattr(request, "param", 0.01)
     probe.node.create_timer(
-        0.01, lambda: tower.publish(Float64MultiArray(data=[x := next(swing), -2.0 * x, 7.0]))
+        period, lambda: tower.publish(Float64MultiArray(data=[x := next(swing), -2.0 * x, 7.0]))
     )
     over = threading.Event()
 
@@ -67,6 +68,15 @@ def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     assert "numbers in a message that change: data[0],data[1]; 1 others do not" in done.stdout
     assert "seen: data[0] -0.5 to 0.5, data[1] -1 to 1" in done.stdout
     assert f"next: ./koop check {path}" in done.stdout
+
+
+@pytest.mark.parametrize("rig", [4.0], indirect=True)  # [s] between two messages
+def test_of_a_rig_that_speaks_seldom_all_fields_are_proposed(rig, tmp_path):
+    """Failed before: with no second message while the fields were looked at, it was a fault."""
+    done = answered(tmp_path / "rig.yaml", "1\n")
+    assert done.returncode == 2
+    assert "numbers in a message: data[0],data[1],data[2]\n" in done.stdout
+    assert "no more answers at 'fields of the measured channels" in done.stderr
 
 
 def test_without_a_rig_it_says_so_and_writes_nothing_half(tmp_path):

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
-from itertools import starmap
+from itertools import compress, starmap
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -149,7 +149,7 @@ class Interview:
             raise ConfigError(f"{topic}: {kind} holds no numbers; nothing was written")
         else:
             x = listen(self.client, topic, kind, numbers, PROPOSAL.listen).samples().x
-            changing = tuple(path for k, path in enumerate(numbers) if np.ptp(x[:, k]) > 0.0)
+            changing = tuple(compress(numbers, np.ptp(x, axis=0) > 0.0)) if x.size else ()
         offered, rest = changing or numbers, len(numbers) - len(changing)
         shown = f"numbers in a message{' that change' * bool(changing)}: {_join(offered)}"
         shown += f"; {rest} others do not change" * bool(changing and rest)
