@@ -55,27 +55,18 @@ ONCE = (Cause.ASKED, Cause.AT_LIMIT, Cause.ENDED)  # do not last: a rearm clears
 
 @dataclass(frozen=True)
 class Trip:
-    """Why and where the guard tripped.
-
-    Attributes
-    ----------
-    cause : Cause
-        The first one; later ones do not replace it.
-    reason : str
-        The same in words, with values.
-    when : float
-        Steady time [s].
-    theta : tuple of float
-        Commanded then, a value for each knob.
-    x : tuple of float
-        Measured channels then; empty before the first.
-    """
+    """Why and where the guard tripped."""
 
     cause: Cause
+    """The first one; later ones do not replace it."""
     reason: str
+    """The same in words, with values."""
     when: float
+    """Steady time [s]."""
     theta: tuple[float, ...]
+    """Commanded then, a value for each knob."""
     x: tuple[float, ...]
+    """Measured channels then; empty before the first."""
 
 
 class RepeatMeter:

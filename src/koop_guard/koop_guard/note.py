@@ -23,27 +23,18 @@ PERIOD = 1.0  # [s] between two notes while nothing trips
 
 @dataclass(frozen=True)
 class Note:
-    """What is noted of a rig.
-
-    Attributes
-    ----------
-    theta : tuple of float
-        Commanded last, a value for each knob.
-    command : str
-        What takes it, as topic:field.
-    publishers : tuple of str
-        Ids of the rig's publishers.
-    trip : Trip or None
-        What holds theta at theta_safe until a rearm; its time is the system clock's [s].
-    rearmed : int
-        Automatic rearms since the last one by hand.
-    """
+    """What is noted of a rig."""
 
     theta: tuple[float, ...]
+    """Commanded last, a value for each knob."""
     command: str
+    """What takes it, as topic:field."""
     publishers: tuple[str, ...]
+    """Ids of the rig's publishers."""
     trip: Trip | None
+    """What holds theta at theta_safe until a rearm; its time is the system clock's [s]."""
     rearmed: int
+    """Automatic rearms since the last one by hand."""
 
 
 def note_of(rig_file: str | Path) -> Path:

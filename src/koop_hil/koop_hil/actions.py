@@ -14,23 +14,16 @@ NODES = ("plant", *CONTROLLER)
 
 
 class Action(NamedTuple):
-    """One kind of event.
-
-    Attributes
-    ----------
-    check : callable
-        Returns what the event is about as it is used, given it and the scenario's folder.
-    begin, end : callable
-        Do it, and undo it when the event is over, given the scenario's
-        :class:`koop_hil.processes.Processes` and what it is about.
-    publishers : bool
-        Whether topics then have more publishers for a while than usual.
-    """
+    """One kind of event."""
 
     check: Callable[[Any, Path], Any]
+    """Returns what the event is about as it is used, given it and the scenario's folder."""
     begin: Callable[[Any, Any], None]
     end: Callable[[Any, Any], None] = lambda loop, what: None
+    """Do it, and undo it when the event is over, given the scenario's
+    :class:`koop_hil.processes.Processes` and what it is about."""
     publishers: bool = False
+    """Whether topics then have more publishers for a while than usual."""
 
 
 def number(value: Any, name: str) -> float:

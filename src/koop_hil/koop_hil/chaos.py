@@ -69,19 +69,13 @@ SENSOR = (
 
 
 class TimedFault(NamedTuple):
-    """A fault of a run.
-
-    Attributes
-    ----------
-    at, lasts : float
-        Begin after the run's begin, and duration [s].
-    kind : str
-        A key of :data:`KINDS`.
-    """
+    """A fault of a run."""
 
     at: float
     lasts: float
+    """Begin after the run's begin, and duration [s]."""
     kind: str
+    """A key of :data:`KINDS`."""
 
 
 class Operator(Client):

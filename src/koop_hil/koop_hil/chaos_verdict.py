@@ -34,38 +34,26 @@ LOSING = (*SILENT, "sensor lossy", "sensor delayed", "rig", "recorder", "disk", 
 
 @dataclass
 class ChaosVerdict:
-    """Figures and failures of a run.
-
-    Attributes
-    ----------
-    faults : Counter
-        Number of faults by kind.
-    tripped, ended : Counter
-        How often the guard tripped, and the loop ended, by the kind of the fault before it.
-    causes : Counter
-        How often the guard tripped, by the cause that it gave.
-    own : int
-        How often the rig's own time-out returned theta.
-    worst : dict
-        By kind, the longest time [s] in which theta was neither safe nor commanded as it should.
-    seconds, commanded : float
-        Length of the run, and the share of it in which the rig heard commands.
-    memory : dict
-        By process, the largest resident memory [kB] of the first and of the last third.
-    failures : list of str
-        What must not be, in words; empty: passed.
-    """
+    """Figures and failures of a run."""
 
     faults: Counter[str] = field(default_factory=Counter)
+    """Number of faults by kind."""
     tripped: Counter[str] = field(default_factory=Counter)
     ended: Counter[str] = field(default_factory=Counter)
+    """How often the guard tripped, and the loop ended, by the kind of the fault before it."""
     causes: Counter[str] = field(default_factory=Counter)
+    """How often the guard tripped, by the cause that it gave."""
     own: int = 0
+    """How often the rig's own time-out returned theta."""
     worst: dict[str, float] = field(default_factory=dict)
+    """By kind, the longest time [s] in which theta was neither safe nor commanded as it should."""
     seconds: float = 0.0
     commanded: float = 0.0
+    """Length of the run, and the share of it in which the rig heard commands."""
     memory: dict[str, tuple[int, int]] = field(default_factory=dict)
+    """By process, the largest resident memory [kB] of the first and of the last third."""
     failures: list[str] = field(default_factory=list)
+    """What must not be, in words; empty: passed."""
 
     def table(self) -> list[tuple[str, ...]]:
         """Return kinds and outcomes: a head, and a row for each kind of fault."""

@@ -26,22 +26,15 @@ RIGS = ("galloping", "inverter", "jsbsim", "other", "paper")  # of koop_hil/rigs
 
 @dataclass(frozen=True)
 class ScenarioEvent:
-    """Something that happens to the loop.
-
-    Attributes
-    ----------
-    at, lasts : float
-        Begin and length [s] of simulated time.
-    action : str
-        A key of :data:`koop_hil.actions.ACTIONS`.
-    what : object
-        ``{topic: fault}``, a node, ``{node: {parameter: value}}`` or ``link``.
-    """
+    """Something that happens to the loop."""
 
     at: float
     lasts: float
+    """Begin and length [s] of simulated time."""
     action: str
+    """A key of :data:`koop_hil.actions.ACTIONS`."""
     what: Any
+    """``{topic: fault}``, a node, ``{node: {parameter: value}}`` or ``link``."""
 
     def __str__(self) -> str:
         lasts = f" for {self.lasts:g} s" if self.lasts else ""

@@ -27,26 +27,18 @@ TICK = 0.02  # [s] between looks at the clock
 
 @dataclass
 class RunRecord:
-    """Times, levels and failures of a run.
-
-    Attributes
-    ----------
-    begin, end : int
-        System time of the first and last moment [ns].
-    first : int
-        When the first event began [ns], or the run if there is none.
-    levels : dict
-        Levels that every node reported after the first event, or in the whole run without events.
-    failures : list of str
-        Processes that ended on their own, with their last lines; publishers that are not the
-        scenario's; events that did not happen.
-    """
+    """Times, levels and failures of a run."""
 
     begin: int = 0
     end: int = 0
+    """System time of the first and last moment [ns]."""
     first: int = 0
+    """When the first event began [ns], or the run if there is none."""
     levels: dict[str, set[str]] = field(default_factory=dict)
+    """Levels that every node reported after the first event, or in the whole run without events."""
     failures: list[str] = field(default_factory=list)
+    """Processes that ended on their own, with their last lines; publishers that are not the
+    scenario's; events that did not happen."""
 
 
 def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]) -> RunRecord:

@@ -40,47 +40,33 @@ SETTINGS = VerdictSettings()
 
 @dataclass
 class Verdict:
-    """Figures of a run and what failed.
-
-    Attributes
-    ----------
-    tail_error : float
-        Mean |theta - theta*| over the last 30 %.
-    time_out_of_tolerance : float
-        Simulated time [s] from the first event on with theta out of tolerance.
-    max_error : float
-        Largest |theta - theta*| from the first event on.
-    duration, simulated : float
-        Simulated time [s] that was asked for, and for which theta on the plant is known.
-    messages : dict
-        Recorded messages by topic.
-    unrecorded : int
-        Messages that must have been there but are not in the bag: of steps that were jumped
-        over, states whose cost, and costs whose theta was recorded.
-    answer_age : float
-        Largest age of a state [s of real time] when the answer to it began to act on the plant.
-    levels : dict
-        Levels reported on /diagnostics.
-    failures : list of str
-        What did not hold; empty if the scenario passed.
-    skipped : str
-        Why the scenario cannot run here; empty if it ran.
-    """
+    """Figures of a run and what failed."""
 
     name: str
     description: str
     events: list[str]
     tail_error: float = math.nan
+    """Mean |theta - theta*| over the last 30 %."""
     time_out_of_tolerance: float = math.nan
+    """Simulated time [s] from the first event on with theta out of tolerance."""
     max_error: float = math.nan
+    """Largest |theta - theta*| from the first event on."""
     messages: dict[str, int] = field(default_factory=dict)
+    """Recorded messages by topic."""
     unrecorded: int = 0
+    """Messages that must have been there but are not in the bag: of steps that were jumped over,
+    states whose cost, and costs whose theta was recorded."""
     duration: float = math.nan
     simulated: float = math.nan
+    """Simulated time [s] that was asked for, and for which theta on the plant is known."""
     answer_age: float = math.nan
+    """Largest age of a state [s of real time] when the answer to it began to act on the plant."""
     levels: dict[str, list[str]] = field(default_factory=dict)
+    """Levels reported on /diagnostics."""
     failures: list[str] = field(default_factory=list)
+    """What did not hold; empty if the scenario passed."""
     skipped: str = ""
+    """Why the scenario cannot run here; empty if it ran."""
 
     @property
     def passed(self) -> bool:

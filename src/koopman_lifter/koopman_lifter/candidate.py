@@ -50,19 +50,14 @@ TINY = float(np.finfo(float).tiny)
 
 
 class Samples(NamedTuple):
-    """Measured states that are kept until they are enough.
-
-    Attributes
-    ----------
-    states : ndarray, shape (M, channels)
-    steps : ndarray of int64, shape (M,)
-    cursor : ndarray of int64, shape (1,)
-        How many there are.
-    """
+    """Measured states that are kept until they are enough."""
 
     states: NDArray[np.float64]
+    """Shape (M, channels)."""
     steps: NDArray[np.int64]
+    """Shape (M,)."""
     cursor: NDArray[np.int64]
+    """Shape (1,): how many there are."""
 
     @property
     def full(self) -> bool:
@@ -113,24 +108,16 @@ class Shares(NamedTuple):
 
 @dataclass(frozen=True)
 class Judgement:
-    """The model in use and the candidate on windows that neither was learned from.
-
-    Attributes
-    ----------
-    windows : int
-        How many.
-    ranks : tuple of float
-        Rank correlation of the cost with the amplitude: of the model in use, of the candidate.
-    errors : tuple of float
-        One-step error over the observables' root mean square, of the same.
-    shares : Shares
-        Of the same.
-    """
+    """The model in use and the candidate on windows that neither was learned from."""
 
     windows: int
+    """How many."""
     ranks: tuple[float, float]
+    """Rank correlation of the cost with the amplitude: of the model in use, of the candidate."""
     errors: tuple[float, float]
+    """One-step error over the observables' root mean square, of the same."""
     shares: Shares
+    """Of the same."""
 
     @property
     def better(self) -> bool:

@@ -59,34 +59,24 @@ TINY = float(np.finfo(float).tiny)
 
 
 class Spectrum(NamedTuple):
-    """Arrays that the kernel writes to.
-
-    Attributes
-    ----------
-    sums : ndarray of complex, shape (SEGMENTS, n, 5)
-        Spectra of the last segments, by age; the first one is being filled.
-    moments : ndarray, shape (SEGMENTS, n, 2)
-        Sums of their samples and of the squares.
-    turn : ndarray of complex, shape (2, 5)
-        exp(-i phase) of the next sample, and of one sample.
-    amplitude : ndarray of complex, shape (n,)
-        C of the last window.
-    usual : ndarray, shape (n,)
-        Running mean of the sum of squares of a window about its mean.
-    last : ndarray, shape (n,)
-        The last sample.
-    cursor : ndarray of int64, shape (5,)
-        Samples in the first segment and in a whole one; segments and windows without a gap; step of
-        the last sample; windows.
-    """
+    """Arrays that the kernel writes to."""
 
     sums: NDArray[np.complex128]
+    """Shape (SEGMENTS, n, 5): spectra of the last segments, by age; the first one is being
+    filled."""
     moments: NDArray[np.float64]
+    """Shape (SEGMENTS, n, 2): sums of their samples and of the squares."""
     turn: NDArray[np.complex128]
+    """Shape (2, 5): exp(-i phase) of the next sample, and of one sample."""
     amplitude: NDArray[np.complex128]
+    """Shape (n,): C of the last window."""
     usual: NDArray[np.float64]
+    """Shape (n,): running mean of the sum of squares of a window about its mean."""
     last: NDArray[np.float64]
+    """Shape (n,): the last sample."""
     cursor: NDArray[np.int64]
+    """Shape (5,): samples in the first segment and in a whole one; segments and windows without a
+    gap; step of the last sample; windows."""
 
 
 class Side(NamedTuple):
@@ -97,28 +87,20 @@ class Side(NamedTuple):
 
 
 class Tally(NamedTuple):
-    r"""What the windows so far say.
-
-    Attributes
-    ----------
-    above, below : Side
-        Cumulative sums.
-    low, high : float
-        Known range of e.
-    mean, variance, power : float
-        Running means of e, of its squared deviation, and of \|P\|.
-    windows : int
-        How many.
-    """
+    """What the windows so far say."""
 
     above: Side = Side()
     below: Side = Side()
+    """Cumulative sums."""
     low: float = math.inf
     high: float = -math.inf
+    """Known range of e."""
     mean: float = 0.0
     variance: float = WATCH.move**2
     power: float = 0.0
+    """Running means of e, of its squared deviation, and of |P|."""
     windows: int = 0
+    """How many."""
 
 
 def spectrum(segment: int, channels: int) -> Spectrum:
@@ -234,39 +216,25 @@ def follow(threshold: float, s: Spectrum, tally: Tally, step: int, x: NDArray[np
 
 
 class Listening(NamedTuple):
-    """Samples in which an oscillation is looked for.
-
-    Attributes
-    ----------
-    rows : ndarray, shape (M, n)
-        Means of ``every`` samples.
-    part : ndarray, shape (n,)
-        Sum of the samples of the next mean.
-    cursor : ndarray of int64, shape (4,)
-        Rows filled, ``every``, samples in ``part``, step of the last sample.
-    """
+    """Samples in which an oscillation is looked for."""
 
     rows: NDArray[np.float64]
+    """Shape (M, n): means of ``every`` samples."""
     part: NDArray[np.float64]
+    """Shape (n,): sum of the samples of the next mean."""
     cursor: NDArray[np.int64]
+    """Shape (4,): rows filled, ``every``, samples in ``part``, step of the last sample."""
 
 
 class Senses(NamedTuple):
-    """What a watch hears with.
-
-    Attributes
-    ----------
-    ear : Listening
-        Samples in which the oscillation is looked for.
-    threshold : float
-        S that is a change; infinite while the oscillation is not found.
-    spectrum : Spectrum
-        Of the windows, once it is.
-    """
+    """What a watch hears with."""
 
     ear: Listening
+    """Samples in which the oscillation is looked for."""
     threshold: float
+    """S that is a change; infinite while the oscillation is not found."""
     spectrum: Spectrum
+    """Of the windows, once it is."""
 
 
 @njit()

@@ -44,45 +44,31 @@ LIFTED = 1
 
 
 class Lifting(NamedTuple):
-    """Arrays that take a measured state to its dominant modal coordinates.
-
-    Attributes
-    ----------
-    parent, factor : ndarray of int64, shape (p,)
-        Recursion of the monomials, see :class:`koopman_lifter.observables.Monomials`.
-    projector : ndarray, shape (N, p)
-        W with ||W z||_2 = ||V_dom^+ z||_2, see :func:`koopman_lifter.modes.projector`.
-    channels, n, every : int
-        Layout of the state, see :class:`koopman_lifter.delays.Delays`.
-    """
+    """Arrays that take a measured state to its dominant modal coordinates."""
 
     parent: NDArray[np.int64]
     factor: NDArray[np.int64]
+    """Shape (p,): recursion of the monomials, see :class:`koopman_lifter.observables.Monomials`."""
     projector: NDArray[np.float64]
+    """Shape (N, p): W with ||W z||_2 = ||V_dom^+ z||_2, see
+    :func:`koopman_lifter.modes.projector`."""
     channels: int
     n: int
     every: int
+    """Layout of the state, see :class:`koopman_lifter.delays.Delays`."""
 
 
 class Workspace(NamedTuple):
-    """Arrays that the kernel writes to: scratch, and the delay line.
-
-    Attributes
-    ----------
-    z : ndarray, shape (p,)
-        Scratch; receives g(X_k).
-    embedded : ndarray, shape (n,)
-        X_k, newest sample first.
-    ring : ndarray, shape (depth, channels)
-        The last samples.
-    cursor : ndarray of int64, shape (3,)
-        Row of the newest sample, samples held, step of the newest.
-    """
+    """Arrays that the kernel writes to: scratch, and the delay line."""
 
     z: NDArray[np.float64]
+    """Shape (p,): scratch; receives g(X_k)."""
     embedded: NDArray[np.float64]
+    """Shape (n,): X_k, newest sample first."""
     ring: NDArray[np.float64]
+    """Shape (depth, channels): the last samples."""
     cursor: NDArray[np.int64]
+    """Shape (3,): row of the newest sample, samples held, step of the newest."""
 
     @property
     def filling(self) -> int:
@@ -122,45 +108,30 @@ def borrow(lifting: Lifting, work: Workspace) -> tuple[Lifting, Workspace]:
 
 
 class DetectorParams(NamedTuple):
-    """Scalars of the amplitude detector.
-
-    Attributes
-    ----------
-    alpha_hp, alpha_lp : float
-        Filter coefficients exp(-omega dt) [-].
-    y_max : float
-        Largest y_out that is believed; finite.
-    settling : int
-        Samples that both filters need to settle.
-    settled : float
-        Share of y_lp that these samples have: 1 - alpha_lp^settling.
-    """
+    """Scalars of the amplitude detector."""
 
     alpha_hp: float
     alpha_lp: float
+    """Filter coefficients exp(-omega dt) [-]."""
     y_max: float
+    """Largest y_out that is believed; finite."""
     settling: int
+    """Samples that both filters need to settle."""
     settled: float
+    """Share of y_lp that these samples have: 1 - alpha_lp^settling."""
 
 
 class DetectorState(NamedTuple):
-    """State of the amplitude detector.
-
-    Attributes
-    ----------
-    y_previous, y_hp, y_lp : float
-        Last energy, high-pass and low-pass filter.
-    primed : bool
-        False if the next sample follows on none.
-    settling : int
-        Samples until the filters have settled and there is a cost.
-    """
+    """State of the amplitude detector."""
 
     y_previous: float
     y_hp: float
     y_lp: float
+    """Last energy, high-pass and low-pass filter."""
     primed: bool
+    """False if the next sample follows on none."""
     settling: int
+    """Samples until the filters have settled and there is a cost."""
 
 
 def detector_params(

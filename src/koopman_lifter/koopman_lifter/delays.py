@@ -22,21 +22,14 @@ from koopman_lifter.settings import LEARNING
 
 @dataclass(frozen=True)
 class Delays:
-    """Which samples are the state.
-
-    Attributes
-    ----------
-    channels : int
-        Measured channels, at least 1.
-    count : int
-        d, samples of each channel, at least 1.
-    every : int
-        s, sampling times from one of them to the next, at least 1.
-    """
+    """Which samples are the state."""
 
     channels: int
+    """Measured channels, at least 1."""
     count: int = 1
+    """d, samples of each channel, at least 1."""
     every: int = 1
+    """s, sampling times from one of them to the next, at least 1."""
 
     def __post_init__(self) -> None:
         if min(self.channels, self.count, self.every) < 1:

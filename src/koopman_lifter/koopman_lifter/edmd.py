@@ -27,27 +27,18 @@ class RankDeficient(InputError):
 
 @dataclass
 class Gram:
-    """Sums over snapshot pairs from which K and what its modes are worth follow.
-
-    Attributes
-    ----------
-    observables : Monomials
-        The lifting g with p observables.
-    xx : ndarray, shape (p, p)
-        G = sum_k g(x_k) g(x_k)^T.
-    yx : ndarray, shape (p, p)
-        A = sum_k g(x_{k+1}) g(x_k)^T.
-    yy : ndarray, shape (p, p)
-        L = sum_k g(x_{k+1}) g(x_{k+1})^T.
-    pairs : int
-        Number of snapshot pairs M.
-    """
+    """Sums over snapshot pairs from which K and what its modes are worth follow."""
 
     observables: Monomials
+    """The lifting g with p observables."""
     xx: NDArray[np.float64]
+    """Shape (p, p): G = sum_k g(x_k) g(x_k)^T."""
     yx: NDArray[np.float64]
+    """Shape (p, p): A = sum_k g(x_{k+1}) g(x_k)^T."""
     yy: NDArray[np.float64]
+    """Shape (p, p): L = sum_k g(x_{k+1}) g(x_{k+1})^T."""
     pairs: int = 0
+    """Number of snapshot pairs M."""
 
     @classmethod
     def empty(cls, observables: Monomials) -> Gram:
@@ -102,24 +93,18 @@ class Gram:
 
 @dataclass(frozen=True)
 class Koopman:
-    """A finite-dimensional Koopman operator estimate.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (p, p)
-        K with z_{k+1} = K z_k.
-    scaled : ndarray, shape (p, p)
-        The same operator on observables of unit root mean square; the better conditioned one.
-    scale : ndarray, shape (p,)
-        Root mean square of every observable: ``matrix = diag(scale) scaled diag(1 / scale)``.
-    condition : float
-        Condition number of the equilibrated Psi_X.
-    """
+    """A finite-dimensional Koopman operator estimate."""
 
     matrix: NDArray[np.float64]
+    """Shape (p, p): K with z_{k+1} = K z_k."""
     scaled: NDArray[np.float64]
+    """Shape (p, p): the same operator on observables of unit root mean square; the better
+    conditioned one."""
     scale: NDArray[np.float64]
+    """Shape (p,): root mean square of every observable: ``matrix = diag(scale) scaled diag(1 /
+    scale)``."""
     condition: float
+    """Condition number of the equilibrated Psi_X."""
 
 
 def edmd(gram: Gram) -> Koopman:

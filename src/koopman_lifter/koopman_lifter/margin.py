@@ -20,42 +20,27 @@ from koop_core.stream.arrival import Arrival
 
 
 class MarginParams(NamedTuple):
-    """Scalars of the statistic.
-
-    Attributes
-    ----------
-    peak : bool
-        Whether the statistic is the peak.
-    window : int
-        Samples of the window.
-    weight : float
-        w, of one sample in the rms [-].
-    bound : float
-        What the statistic must stay below, in the signal's unit.
-    """
+    """Scalars of the statistic."""
 
     peak: bool
+    """Whether the statistic is the peak."""
     window: int
+    """Samples of the window."""
     weight: float
+    """w, of one sample in the rms [-]."""
     bound: float
+    """What the statistic must stay below, in the signal's unit."""
 
 
 class MarginState(NamedTuple):
-    """State of the signal's statistic.
-
-    Attributes
-    ----------
-    samples : int
-        Samples in all; of a peak, in this window.
-    now : float
-        s^2; of a peak, the largest magnitude in this window.
-    before : float
-        Largest magnitude in the window before; below 0: there was none.
-    """
+    """State of the signal's statistic."""
 
     samples: int
+    """Samples in all; of a peak, in this window."""
     now: float
+    """s^2; of a peak, the largest magnitude in this window."""
     before: float
+    """Largest magnitude in the window before; below 0: there was none."""
 
 
 BEGIN = MarginState(0, 0.0, -1.0)

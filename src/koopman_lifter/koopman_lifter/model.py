@@ -50,49 +50,34 @@ class ModelError(InputError):
 
 @dataclass(frozen=True)
 class KoopmanModel:
-    """A learned Koopman model with its dominant modes.
-
-    Attributes
-    ----------
-    observables : Monomials
-        g with p observables of an n-dimensional state.
-    delays : Delays
-        Which samples of the measured channels are that state.
-    dt : float
-        Time between consecutive samples [s].
-    state_names : tuple of str, length delays.channels
-        Names of the measured channels, in order.
-    K : ndarray, shape (p, p)
-        z_{k+1} = K z_k.
-    eigenvalues : ndarray of complex, shape (p,)
-        Of K, largest modulus first.
-    energies : ndarray, shape (p,)
-        E_j, mean |c_j|^2 on the training data.
-    kept : ndarray of bool, shape (p,)
-        The dominant modes.
-    V_dom : ndarray of complex, shape (p, N)
-        Right eigenvectors of the kept modes, unit 2-norm.
-    projector : ndarray, shape (N, p), or (1, p) for a single direction
-        Real W with ||W z|| = ||V_dom^+ z||. Stored, not recomputed on loading, so that the cost is
-        the same to the last bit on machines whose linear algebra rounds differently.
-    provenance : dict
-        Where the training data came from, in JSON terms.
-    residuals : ndarray, shape (p,), or None
-        Residual of every mode on the training data; None where it is not known.
-    """
+    """A learned Koopman model with its dominant modes."""
 
     observables: Monomials
+    """g with p observables of an n-dimensional state."""
     delays: Delays
+    """Which samples of the measured channels are that state."""
     dt: float
+    """Time between consecutive samples [s]."""
     state_names: tuple[str, ...]
+    """Length delays.channels: names of the measured channels, in order."""
     K: NDArray[np.float64]
+    """Shape (p, p): z_{k+1} = K z_k."""
     eigenvalues: NDArray[np.complex128]
+    """Shape (p,): of K, largest modulus first."""
     energies: NDArray[np.float64]
+    """Shape (p,): E_j, mean |c_j|^2 on the training data."""
     kept: NDArray[np.bool_]
+    """Shape (p,): the dominant modes."""
     V_dom: NDArray[np.complex128]
+    """Shape (p, N): right eigenvectors of the kept modes, unit 2-norm."""
     projector: NDArray[np.float64]
+    """Shape (N, p), or (1, p) for a single direction: real W with ||W z|| = ||V_dom^+ z||. Stored,
+    not recomputed on loading, so that the cost is the same to the last bit on machines whose linear
+    algebra rounds differently."""
     provenance: dict[str, Any]
+    """Where the training data came from, in JSON terms."""
     residuals: NDArray[np.float64] | None = None
+    """Shape (p,): residual of every mode on the training data; None where it is not known."""
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:

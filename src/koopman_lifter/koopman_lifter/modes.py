@@ -22,25 +22,18 @@ from koopman_lifter.edmd import Gram, Koopman
 
 @dataclass(frozen=True)
 class Modes:
-    """Eigen-decomposition K V = V diag(lambda), largest |lambda| first.
-
-    Attributes
-    ----------
-    eigenvalues : ndarray of complex, shape (p,)
-        lambda_j; a complex pair stands together.
-    vectors : ndarray of complex, shape (p, p)
-        V, right eigenvectors as columns of unit 2-norm.
-    energies : ndarray, shape (p,)
-        E_j = mean over the training data of |c_j|^2, c = V^+ g(x'); equal within a complex pair.
-    residuals : ndarray, shape (p,)
-        Root mean square error of phi_j(x_{k+1}) = lambda_j phi_j(x_k) over that of phi_j; equal
-        within a complex pair. What is below 1e-7 is rounding.
-    """
+    """Eigen-decomposition K V = V diag(lambda), largest |lambda| first."""
 
     eigenvalues: NDArray[np.complex128]
+    """Shape (p,): lambda_j; a complex pair stands together."""
     vectors: NDArray[np.complex128]
+    """Shape (p, p): V, right eigenvectors as columns of unit 2-norm."""
     energies: NDArray[np.float64]
+    """Shape (p,): E_j = mean over the training data of |c_j|^2, c = V^+ g(x'); equal within a
+    complex pair."""
     residuals: NDArray[np.float64]
+    """Shape (p,): root mean square error of phi_j(x_{k+1}) = lambda_j phi_j(x_k) over that of
+    phi_j; equal within a complex pair. What is below 1e-7 is rounding."""
 
 
 def decompose(koopman: Koopman, gram: Gram) -> Modes:

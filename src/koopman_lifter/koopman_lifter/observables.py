@@ -22,17 +22,12 @@ class Monomials:
 
     Every monomial but the first, 1, is an earlier one times one variable, so that lifting a state
     costs p - 1 multiplications: ``z[i] = z[parent[i]] * x[factor[i]]``.
-
-    Attributes
-    ----------
-    n : int
-        Dimension of the state, at least 1.
-    degree : int
-        Largest total degree, at least 1.
     """
 
     n: int
+    """Dimension of the state, at least 1."""
     degree: int
+    """Largest total degree, at least 1."""
 
     def __post_init__(self) -> None:
         if self.n < 1 or self.degree < 1:

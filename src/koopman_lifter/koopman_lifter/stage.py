@@ -37,32 +37,24 @@ UNUSABLE, CHANGED = FAILED + 1, FAILED + 2
 
 
 class LifterStage(NamedTuple):
-    """What stays the same; see :mod:`koopman_lifter.cost` and :mod:`koopman_lifter.change`.
-
-    Attributes
-    ----------
-    input, output : Port
-        With the values ``STATE`` and ``COST``.
-    sample : ndarray, shape (channels,)
-        Measured state.
-    seen : ndarray, shape (1,) or (channels,)
-        What the watch looks at: the contrast if there is one, else the state.
-    senses : Senses
-        Of the watch.
-    kept : Samples
-        What a candidate is learned from.
-    """
+    """What stays the same; see :mod:`koopman_lifter.cost` and :mod:`koopman_lifter.change`."""
 
     input: Port
     output: Port
+    """With the values ``STATE`` and ``COST``."""
     source: int
     lifting: Lifting
     detector: DetectorParams
     work: Workspace
     sample: NDArray[np.float64]
+    """Shape (channels,): measured state."""
     seen: NDArray[np.float64]
+    """Shape (1,) or (channels,): what the watch looks at: the contrast if there is one, else the
+    state."""
     senses: Senses
+    """Of the watch."""
     kept: Samples
+    """What a candidate is learned from."""
 
 
 class LifterProgress(NamedTuple):

@@ -44,38 +44,25 @@ BARRIER = constants(BarrierSettings())
 
 
 class BarrierParams(NamedTuple):
-    """Scalars of the barrier.
-
-    Attributes
-    ----------
-    slope : float
-        h', change of the margin over u; 0: there is no bound.
-    dwell_samples : int
-        Dwell time in samples, at least 1.
-    alpha_mean, alpha_deviation : float
-        Filter coefficients [-].
-    """
+    """Scalars of the barrier."""
 
     slope: float
+    """h', change of the margin over u; 0: there is no bound."""
     dwell_samples: int
+    """Dwell time in samples, at least 1."""
     alpha_mean: float
     alpha_deviation: float
+    """Filter coefficients [-]."""
 
 
 class BarrierState(NamedTuple):
-    """State of the barrier.
-
-    Attributes
-    ----------
-    mean, deviation : float
-        Its mean and mean absolute deviation.
-    known : bool
-        Whether there was a margin before.
-    """
+    """State of the barrier."""
 
     mean: float
     deviation: float
+    """Mean and mean absolute deviation of the margin."""
     known: bool
+    """Whether there was a margin before."""
 
 
 UNKNOWN = BarrierState(0.0, 0.0, False)

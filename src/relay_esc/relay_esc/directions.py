@@ -61,62 +61,44 @@ LASTING = ("base", "begin", "output", "directions", "own")  # arrays that outlas
 
 
 class Knobs(NamedTuple):
-    """Limits of the knobs; arrays of shape (n,).
-
-    Attributes
-    ----------
-    lower, upper : ndarray
-        Saturation limits [u].
-    scale : ndarray
-        Change of each knob that counts as one [u]; its range, say.
-    largest_change : ndarray
-        Largest change of what is given out, per sample [u].
-    theta_lower, theta_upper : ndarray
-        The limits again [theta].
-    normals : ndarray, shape (m, n)
-        Of each line between knobs a . u <= b: a times ``scale``, of length 1.
-    bounds : ndarray, shape (m,)
-        b of the same.
-    """
+    """Limits of the knobs; arrays of shape (n,)."""
 
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
+    """Saturation limits [u]."""
     scale: NDArray[np.float64]
+    """Change of each knob that counts as one [u]; its range, say."""
     largest_change: NDArray[np.float64]
+    """Largest change of what is given out, per sample [u]."""
     theta_lower: NDArray[np.float64]
     theta_upper: NDArray[np.float64]
+    """The limits again [theta]."""
     normals: NDArray[np.float64] = np.empty((0, 1))
+    """Shape (m, n): of each line between knobs a . u <= b: a times ``scale``, of length 1."""
     bounds: NDArray[np.float64] = np.empty(0)
+    """Shape (m,): b of the same."""
 
 
 class DirectionState(NamedTuple):
-    """State between samples; :func:`answer` changes its arrays in place.
-
-    Attributes
-    ----------
-    relay : RelayState
-        The relay along the direction; its u is s.
-    active, legs : int
-        Direction that is sought along, and legs that have ended along it.
-    base, begin, output : ndarray, shape (n,)
-        Where the direction begins, where the round began, and what was given out last [u].
-    directions : ndarray, shape (n, n)
-        Unit vectors, one a row.
-    own : ndarray, shape (n, OWN)
-        What each direction has of its own: its swing and the sense that comes next.
-    theta : ndarray, shape (n,)
-        Control input that was given out last [theta].
-    """
+    """State between samples; :func:`answer` changes its arrays in place."""
 
     relay: RelayState
+    """The relay along the direction; its u is s."""
     active: int
     legs: int
+    """Direction that is sought along, and legs that have ended along it."""
     base: NDArray[np.float64]
     begin: NDArray[np.float64]
     output: NDArray[np.float64]
+    """Shape (n,): where the direction begins, where the round began, and what was given out last
+    [u]."""
     directions: NDArray[np.float64]
+    """Shape (n, n): unit vectors, one a row."""
     own: NDArray[np.float64]
+    """Shape (n, OWN): what each direction has of its own: its swing and the sense that comes
+    next."""
     theta: NDArray[np.float64]
+    """Shape (n,): control input that was given out last [theta]."""
 
 
 def start(

@@ -56,94 +56,64 @@ MEMORY = 2 + len(LASTING)  # numbers of :func:`memory`
 
 
 class RelayParams(NamedTuple):
-    """Scalars of the kernel.
-
-    Attributes
-    ----------
-    alpha : float
-        Filter coefficient exp(-dt / tau_f) [-].
-    step_size : float
-        Change of u per sample, k > 0 [u].
-    dwell_samples : int
-        Samples that must lie between two flips, dwell time / dt.
-    u_min, u_max : float
-        Saturation limits [u], the widest.
-    u_low, u_high : float
-        Those that theta keeps while the optimum is not lost.
-    sense : float
-        +1 minimises r, -1 maximises it.
-    largest_change : float
-        Largest change of what is given out, per sample [u]; infinite without a limit.
-    settling : int
-        Samples for which theta is held after joining a run.
-    adaptive : bool
-        Whether the law is ``adaptive``.
-    alpha_level : float
-        Filter coefficient of the level of log r [-].
-    step_ratio : float
-        Smallest step in units of ``step_size``.
-    logarithmic : bool
-        Whether theta = exp(u).
-    theta_min, theta_max, theta_low, theta_high : float
-        The same [theta].
-    """
+    """Scalars of the kernel."""
 
     alpha: float
+    """Filter coefficient exp(-dt / tau_f) [-]."""
     step_size: float
+    """Change of u per sample, k > 0 [u]."""
     dwell_samples: int
+    """Samples that must lie between two flips, dwell time / dt."""
     u_min: float
     u_max: float
+    """Saturation limits [u], the widest."""
     u_low: float
     u_high: float
+    """Those that theta keeps while the optimum is not lost."""
     sense: float
+    """+1 minimises r, -1 maximises it."""
     largest_change: float
+    """Largest change of what is given out, per sample [u]; infinite without a limit."""
     settling: int
+    """Samples for which theta is held after joining a run."""
     adaptive: bool
+    """Whether the law is ``adaptive``."""
     alpha_level: float
+    """Filter coefficient of the level of log r [-]."""
     step_ratio: float
+    """Smallest step in units of ``step_size``."""
     logarithmic: bool
+    """Whether theta = exp(u)."""
     theta_min: float
     theta_max: float
     theta_low: float
     theta_high: float
+    """All four limits [theta]."""
 
 
 class RelayState(NamedTuple):
-    """State of the relay between samples.
-
-    Attributes
-    ----------
-    u : float
-        What the relay asks for [u]: theta, or its logarithm.
-    epsilon : int
-        Relay sign; +1 moves theta down, -1 up.
-    cost_rise_filtered : float
-        Filtered change of x; positive means that the cost gets worse.
-    x_previous : float
-        Last cost, or its logarithm.
-    since_flip : int
-        Samples since the last flip; below 0: minus the samples until the controller, which has
-        joined a run, begins to seek.
-    primed : bool
-        False until ``x_previous`` holds a cost to take the next difference from.
-    commanded : float
-        What was given out last [u]; lags behind ``u`` where that jumps, as after a reset, and the
-        rate is limited.
-    output : float
-        Control input that was given out last [theta].
-    swing : Swing
-        State of the adaptive law.
-    """
+    """State of the relay between samples."""
 
     u: float
+    """What the relay asks for [u]: theta, or its logarithm."""
     epsilon: int
+    """Relay sign; +1 moves theta down, -1 up."""
     cost_rise_filtered: float
+    """Filtered change of x; positive means that the cost gets worse."""
     x_previous: float
+    """Last cost, or its logarithm."""
     since_flip: int
+    """Samples since the last flip; below 0: minus the samples until the controller, which has
+    joined a run, begins to seek."""
     primed: bool
+    """False until ``x_previous`` holds a cost to take the next difference from."""
     commanded: float
+    """What was given out last [u]; lags behind ``u`` where that jumps, as after a reset, and the
+    rate is limited."""
     output: float
+    """Control input that was given out last [theta]."""
     swing: Swing
+    """State of the adaptive law."""
 
 
 def dwell_samples(dwell: float, dt: float) -> int:

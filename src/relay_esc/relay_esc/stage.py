@@ -37,31 +37,22 @@ THETA = (
 
 
 class ControllerStage(NamedTuple):
-    """What stays the same; see :mod:`relay_esc.barrier`.
-
-    Attributes
-    ----------
-    input, output : Port
-        With the values ``COST`` and ``THETA``.
-    dt : float
-        Of the costs [s].
-    source : int
-        Of the costs; so is ``model_id``, a text's bytes.
-    hold_asked : bool
-        Whether the user holds theta.
-    level_most : int
-        Costs of a window of :class:`relay_esc.level.CostLevel`, less one.
-    """
+    """What stays the same; see :mod:`relay_esc.barrier`."""
 
     input: Port
     output: Port
+    """With the values ``COST`` and ``THETA``."""
     dt: float
+    """Of the costs [s]."""
     source: int
+    """Of the costs; so is ``model_id``, a text's bytes."""
     model_id: NDArray[np.uint8]
     params: RelayParams
     bound: BarrierParams
     hold_asked: bool
+    """Whether the user holds theta."""
     level_most: int
+    """Costs of a window of :class:`relay_esc.level.CostLevel`, less one."""
 
 
 class ControllerProgress(NamedTuple):

@@ -76,65 +76,44 @@ SWING = constants(SwingSettings())
 
 
 class Swing(NamedTuple):
-    """State of the adaptive law besides the relay's; levels are of log r.
-
-    Attributes
-    ----------
-    factor : float
-        Step in units of the configured one.
-    stretch : float
-        Dwell time of this leg in units of the configured one.
-    level : float
-        Low-pass filtered log r, its sign changed if r is maximised.
-    begin : float
-        Level where this leg begins.
-    lowest, lowest_before : float
-        Least level of this leg, infinite before its first cost, and of the one before.
-    reference : float
-        Level where the optimum is.
-    noise : float
-        Mean change of ``lowest`` from leg to leg.
-    dip : float
-        Mean dip of the legs, the latest counting most.
-    legs : int
-        Legs that the level is known of.
-    short : int
-        Legs in a row that ended as soon as they could, at home.
-    turned : float
-        u where this leg begins.
-    centre : float
-        Mean u of the legs at home.
-    centred : int
-        Legs that it is a mean of.
-    cost : float
-        Last r, its inverse if r is maximised.
-    rise : float
-        Filtered change of ``cost``, as the relay's.
-    below, beyond : float
-        How far the lower and the upper limit are open [u].
-    calm : float
-        Least reference since the step was full.
-    """
+    """State of the adaptive law besides the relay's; levels are of log r."""
 
     factor: float
+    """Step in units of the configured one."""
     stretch: float
+    """Dwell time of this leg in units of the configured one."""
     level: float
+    """Low-pass filtered log r, its sign changed if r is maximised."""
     begin: float
+    """Level where this leg begins."""
     lowest: float
     lowest_before: float
+    """Least level of this leg, infinite before its first cost, and of the one before."""
     reference: float
+    """Level where the optimum is."""
     noise: float
+    """Mean change of ``lowest`` from leg to leg."""
     dip: float
+    """Mean dip of the legs, the latest counting most."""
     legs: int
+    """Legs that the level is known of."""
     short: int
+    """Legs in a row that ended as soon as they could, at home."""
     turned: float
+    """u where this leg begins."""
     centre: float
+    """Mean u of the legs at home."""
     centred: int
+    """Legs that it is a mean of."""
     cost: float
+    """Last r, its inverse if r is maximised."""
     rise: float
+    """Filtered change of ``cost``, as the relay's."""
     below: float
     beyond: float
+    """How far the lower and the upper limit are open [u]."""
     calm: float
+    """Least reference since the step was full."""
 
 
 OPEN = Swing(

@@ -21,23 +21,16 @@ GROUND_TRUTH = (*STATE, "theta_applied", "theta_step", "epsilon0")
 
 
 class PlantStage(NamedTuple):
-    """What stays the same.
-
-    Attributes
-    ----------
-    input, state, ground_truth : Port
-        With the values ``THETA``, ``STATE`` and ``GROUND_TRUTH``.
-    params : PlantParams
-        Of the plant.
-    steps : float
-        Of the run; infinite without an end.
-    """
+    """What stays the same."""
 
     input: Port
     state: Port
     ground_truth: Port
+    """With the values ``THETA``, ``STATE`` and ``GROUND_TRUTH``."""
     params: PlantParams
+    """Of the plant."""
     steps: float
+    """Of the run; infinite without an end."""
 
 
 class PlantProgress(NamedTuple):

@@ -27,27 +27,18 @@ Derivative = Callable[[float, float, float, float], State]
 
 @dataclass(frozen=True)
 class Physics:
-    """Physics and sensors of a rig.
-
-    Attributes
-    ----------
-    derivative : callable
-        ``derivative(t, x, y, theta)`` returns (dx/dt, dy/dt).
-    start : tuple of float
-        Initial [x, y].
-    disturbance : callable
-        ``disturbance(t)`` is added to both sensors, as the paper's interference is.
-    noise : float
-        Standard deviation of each sensor's noise.
-    resolution : float
-        Quantisation step of the sensors.
-    """
+    """Physics and sensors of a rig."""
 
     derivative: Derivative
+    """``derivative(t, x, y, theta)`` returns (dx/dt, dy/dt)."""
     start: State
+    """Initial [x, y]."""
     disturbance: Callable[[float], float]
+    """``disturbance(t)`` is added to both sensors, as the paper's interference is."""
     noise: float
+    """Standard deviation of each sensor's noise."""
     resolution: float
+    """Quantisation step of the sensors."""
 
 
 def van_der_pol(

@@ -31,45 +31,30 @@ def plant_of_others(package: str) -> Any:
 
 
 class Actuation(NamedTuple):
-    """The actuator of a knob.
-
-    Attributes
-    ----------
-    start, low, high : float
-        Theta at first, and its stroke.
-    delay, rate : float
-        A command acts so late [s]; largest change a second, 0: none.
-    """
+    """The actuator of a knob."""
 
     start: float
     low: float
     high: float
+    """Theta at first, and its stroke."""
     delay: float = 0.0
     rate: float = 0.0
+    """A command acts so late [s]; largest change a second, 0: none."""
 
 
 class SimulatedRig(Protocol):
-    """A rig, as its module makes it of the command line; the stand does the rest.
-
-    Attributes
-    ----------
-    dt : float
-        Time between two samples [s].
-    actuations : sequence of Actuation
-        What moves theta, one for each knob.
-    message : str
-        Type of the measurements, a key of ``wire.MESSAGES``.
-    topics : tuple of str
-        Topics of the measurements and of each knob, unless the command line names others.
-    advance : callable
-        ``advance(t, *theta)`` goes on by one sample; ValueError is raised if the rig breaks.
-    """
+    """A rig, as its module makes it of the command line; the stand does the rest."""
 
     dt: float
+    """Time between two samples [s]."""
     actuations: Sequence[Actuation]
+    """What moves theta, one for each knob."""
     message: str
+    """Type of the measurements, a key of ``wire.MESSAGES``."""
     topics: tuple[str, ...]
+    """Topics of the measurements and of each knob, unless the command line names others."""
     advance: Callable[..., None]
+    """``advance(t, *theta)`` goes on by one sample; ValueError is raised if the rig breaks."""
 
     def measure(self, t: float, rng: random.Random) -> tuple[Sequence[float], Sequence[float]]:
         """Return what the sensors say at a time [s], and the true state."""

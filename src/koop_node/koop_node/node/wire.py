@@ -71,21 +71,14 @@ class Piece(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where the values of a message lie, and of all others whose length words are the same.
-
-    Attributes
-    ----------
-    at : dict of int
-        Offset of each number, text or first element from the message's begin, by dotted name.
-    guards : ndarray of int64, shape (G, 2)
-        Offset and value of each length word.
-    size : int
-        Bytes of the message.
-    """
+    """Where the values of a message lie, and of all others whose length words are the same."""
 
     at: dict[str, int]
+    """Offset of each number, text or first element from the message's begin, by dotted name."""
     guards: NDArray[np.int64]
+    """Shape (G, 2): offset and value of each length word."""
     size: int
+    """Bytes of the message."""
 
 
 class Codec:
