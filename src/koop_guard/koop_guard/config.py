@@ -19,12 +19,8 @@ ROUNDED = 1e-12  # share of a line's terms that rounding may add to them
 class RigLimits(KnobSettings):
     """The rig: what is measured of it, what takes theta, and its limits.
 
-    It has a knob for each field of the command.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type, is out of range or contradicts another.
+    It has a knob for each field of the command. Raises ConfigError if a value has the wrong type,
+    is out of range or contradicts another.
     """
 
     measured: str = parameter(

@@ -80,11 +80,6 @@ class RepeatMeter:
     by several steps about its recent mean does not rest. And noise does not die away: third
     differences, which hardly pass an oscillation of 8 samples or more, say how much of what moved
     the channel by few steps was noise; noise of more than 0.6 steps changes two samples in five.
-
-    Attributes
-    ----------
-    run : int
-        Repetitions in a row until now.
     """
 
     def __init__(self) -> None:
@@ -93,6 +88,7 @@ class RepeatMeter:
         self._mean = self._spread = self._noise = self._differences = 0.0
         self._resolution = math.inf
         self.run = 0
+        """Repetitions in a row until now."""
 
     def hear(self, value: float) -> None:
         """Take the next value."""
@@ -135,26 +131,7 @@ class RepeatMeter:
 
 
 class Guard:
-    """Theta of one rig.
-
-    Parameters
-    ----------
-    config : GuardConfig
-        Limits and times.
-    theta : sequence of float
-        Values that theta has now.
-
-    Attributes
-    ----------
-    theta, target : tuple of float
-        Commanded now, and where it moves to.
-    status : Status
-        Waiting, following or tripped.
-    trip : Trip or None
-        The last one, also after a rearm.
-    rearmed : int
-        Automatic rearms since the last one by hand.
-    """
+    """Theta of one rig, which now has the values ``theta``."""
 
     def __init__(self, config: GuardConfig, theta: Sequence[float]) -> None:
         self._config = config
@@ -162,8 +139,12 @@ class Guard:
         self._late = max(SAFETY.late_periods * config.period, 2.0 * SAFETY.tick)
         self._rates = [rate * config.pace for rate in config.each("theta_rate")]
         self.theta = self.target = config.limit(theta)
-        self.status, self.rearmed = Status.WAITING, 0
+        """Commanded now, and where it moves to."""
+        self.status = Status.WAITING
+        self.rearmed = 0
+        """Automatic rearms since the last one by hand."""
         self.trip: Trip | None = None
+        """The last one, also after a rearm."""
         self.x: tuple[float, ...] = ()
         self._repeats = [RepeatMeter() for _ in config.names]
         self._moved = math.inf

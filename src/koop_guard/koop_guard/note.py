@@ -53,10 +53,7 @@ def leave(path: Path | str | None, note: Note) -> None:
 def read(path: Path | str | None) -> Note | None:
     """Return the note; None if there is none.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it is damaged: it may have held a trip.
+    Raises ConfigError if it is damaged: it may have held a trip.
     """
     if not path or not (values := read_json(Path(path))):
         return None
@@ -74,16 +71,7 @@ def find_theta(
     """Return the present value of theta of each knob, and a remark on it, if there is any.
 
     It is the value at which the last command left it; ``theta_start`` if the rig was started again
-    since, or no command has moved it.
-
-    Parameters
-    ----------
-    path : Path, str or None
-        File of :func:`note_of`.
-    rig : RigLimits
-        The rig.
-    publishers : collection of str
-        Ids of the rig's publishers now.
+    since, or no command has moved it. ``publishers`` are the ids of the rig's now.
     """
     note, remark, begin = read(path), "", rig.each("theta_start")
     if note is not None:
@@ -103,12 +91,7 @@ def find_theta(
 class Keeper:
     """Writes the note in a thread: a disk may be slow, and theta must not wait for it.
 
-    Parameters
-    ----------
-    path : str
-        The file; empty: none.
-    current : callable
-        Returns what is to be noted now; None: nothing.
+    ``path`` is empty for none; ``current()`` returns what is to be noted now, None for nothing.
     """
 
     def __init__(self, path: str, current: Callable[[], Note | None]) -> None:

@@ -19,14 +19,8 @@ def age_acting(state: Columns, ground_truth: Columns) -> float:
     """Return the largest age [s] of a state when the answer to it began to act on the plant.
 
     It is 0 if no recorded state was answered. Steps that were not recorded are taken to have ended
-    as early as they can have.
-
-    Parameters
-    ----------
-    state : mapping
-        ``step`` and ``publish_time``.
-    ground_truth : mapping
-        ``step``, ``publish_time`` and ``theta_step``.
+    as early as they can have. Columns are ``step`` and ``publish_time``, of the truth also
+    ``theta_step``.
     """
     step, answered = (ground_truth[name].astype(np.int64) for name in ("step", "theta_step"))
     at = ground_truth["publish_time"].astype(np.int64)

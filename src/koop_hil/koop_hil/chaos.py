@@ -352,12 +352,7 @@ def draw(seed: int, count: int) -> list[TimedFault]:
 def run(folder: Path, seed: int, count: int) -> None:
     """Run the loop through so many faults; what happened is in the folder.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the folder is there already.
-    koop_core.errors.LiveError
-        If the loop does not run before the first fault.
+    Raises ConfigError if that is there already, LiveError if the loop does not run at first.
     """
     with ChaosRun(folder) as it, tqdm(total=count, desc="chaos", unit="fault", disable=None) as bar:
         if not it.settle():

@@ -76,13 +76,7 @@ def parse(text: str) -> Fault:
 
 
 class Channel:
-    """A line that messages pass, with the fault that is on it.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of what happens at random.
-    """
+    """A line that messages pass, with the fault that is on it."""
 
     def __init__(self, seed: int = 0) -> None:
         self.fault = Fault()

@@ -18,18 +18,10 @@ from koop_hil.scenario import Scenario
 
 
 class Processes:
-    """The nodes of one scenario run; a context manager.
+    """The nodes of one scenario run in a folder; a context manager.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the run: bag, logs, parameters.
-    scenario : Scenario
-        What to run.
-    monitor : Monitor
-        Its client in the ROS domain.
-    other_host : OtherHost or None
-        Where the scenario's remote process runs.
+    ``monitor`` is the run's client in the ROS domain; ``other_host`` is where the scenario's remote
+    process runs.
     """
 
     def __init__(

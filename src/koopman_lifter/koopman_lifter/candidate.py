@@ -146,23 +146,10 @@ class Judgement:
 def learn_candidate(
     model: KoopmanModel, samples: Samples, frequency: float, omega_h: float
 ) -> tuple[KoopmanModel, Judgement]:
-    """Learn a candidate for a model from samples, and judge it.
+    """Learn a candidate for the model in use from samples since the change, and judge it.
 
-    Parameters
-    ----------
-    model : KoopmanModel
-        The one in use.
-    samples : Samples
-        Since the change.
-    frequency : float
-        Of the oscillation [Hz].
-    omega_h : float
-        Corner frequency of the detector's high-pass filter [rad/s].
-
-    Raises
-    ------
-    koop_core.errors.InputError
-        If the samples cannot determine a model or judge it.
+    ``frequency`` is the oscillation's [Hz], ``omega_h`` of the detector's high-pass filter [rad/s].
+    Raises InputError if the samples cannot determine a model or judge it.
     """
     from scipy.stats import spearmanr  # slow to import, and the lifter has no use for it
 

@@ -305,19 +305,8 @@ class Change:
 class Watch:
     """The watch of a run; after a change it learns again what is known.
 
-    Parameters
-    ----------
-    channels : int
-        Number of measured values.
-    dt : float
-        Sampling time [s].
-
-    Attributes
-    ----------
-    senses : Senses
-        What :func:`hear` needs.
-    tally : Tally
-        What the windows so far say; whoever calls :func:`hear` sets it.
+    ``channels`` is the number of measured values, ``dt`` the sampling time [s]. ``senses`` is what
+    :func:`hear` needs; who calls that sets ``tally``.
     """
 
     def __init__(self, channels: int, dt: float) -> None:

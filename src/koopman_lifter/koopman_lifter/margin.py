@@ -57,19 +57,10 @@ def margin_params(constraint: Constraint, dt: float) -> MarginParams:
 def follow(
     p: MarginParams, state: MarginState, arrival: int, v: float
 ) -> tuple[float, MarginState]:
-    """Return the margin after one sample, and the state.
+    """Return the margin after one sample of the signal, NaN where there is none, and the state.
 
-    Parameters
-    ----------
-    p : MarginParams
-        Scalars.
-    state : MarginState
-        State after the sample before.
-    arrival : int
-        What the sample is to the ones before, a :class:`koop_core.stream.arrival.Arrival` up to
-        JOIN; after a start or a join nothing is known.
-    v : float
-        The signal; NaN where there is none.
+    ``arrival`` is what the sample is to the ones before, up to JOIN; after a start or a join
+    nothing is known.
     """
     if arrival == Arrival.RESTART or arrival == Arrival.JOIN or not math.isfinite(v):
         state = BEGIN
@@ -88,15 +79,7 @@ def follow(
 
 
 class SignalMeter:
-    """Sums of a signal between two samples of the state.
-
-    Parameters
-    ----------
-    constraint : Constraint
-        Statistic and window of the signal.
-    dt : float
-        Time between two samples of the state [s].
-    """
+    """Sums of a signal between two samples of the state, ``dt`` [s] apart."""
 
     def __init__(self, constraint: Constraint, dt: float) -> None:
         self._peak = constraint.statistic == "peak"

@@ -36,20 +36,9 @@ class Outcome:
 
 
 class Search:
-    """A search that is under way.
+    """A search that is under way, for better than the model in use, of the file ``path``.
 
-    Parameters
-    ----------
-    model : KoopmanModel
-        The one in use.
-    path : Path
-        Its file.
-    samples : Samples
-        Since the change.
-    frequency : float
-        Of the oscillation [Hz].
-    omega_h : float
-        Corner frequency of the detector's high-pass filter [rad/s].
+    For the other arguments see :func:`koopman_lifter.candidate.learn_candidate`.
     """
 
     def __init__(
@@ -86,10 +75,8 @@ def find_model(
 ) -> Outcome:
     """Learn a candidate for a model file; write it beside that if it is better.
 
-    Raises
-    ------
-    koop_core.errors.KoopError
-        If the samples do not suffice, the file has another model by now, or none can be written.
+    Raises KoopError if the samples do not suffice, the file has another model by now, or none can
+    be written.
     """
     model = load(path)
     if model.model_id != model_id:

@@ -91,23 +91,8 @@ def answer(
 ) -> tuple[RelayState, BarrierState, bool, bool]:
     """Answer one cost as :func:`relay_esc.relay.answer` does, within the bound.
 
-    Parameters
-    ----------
-    p, state, arrival, switched, settling, r, hold_asked
-        See there.
-    q : BarrierParams
-        Parameters; without a slope this is the relay alone.
-    barrier : BarrierState
-        After the cost before.
-    margin : float
-        Share of the bound that is left; NaN where it is not known.
-
-    Returns
-    -------
-    state, holding, saturated
-        See there; between the first two:
-    barrier : BarrierState
-        After this cost.
+    Without a slope in ``q`` this is the relay alone. ``margin`` is the share of the bound that is
+    left, NaN where it is not known. Returns state, barrier, holding and saturated after this cost.
     """
     bounded = q.slope != 0.0
     hold_asked = hold_asked or (bounded and not math.isfinite(margin))

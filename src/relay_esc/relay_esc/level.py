@@ -32,24 +32,12 @@ LEVEL = LevelSettings()
 
 
 class CostLevel:
-    """The level of the cost in the windows of a run.
-
-    Parameters
-    ----------
-    dwell : int
-        Dwell time [samples].
-    minimise : bool
-        Whether the cost is to be small.
-
-    Attributes
-    ----------
-    rise : float
-        Mean of r over the last window over that of the best one (its inverse where r is to be
-        large); NaN before there was a window.
-    """
+    """The level of the cost in the windows of a run, of so many dwell times [samples]."""
 
     def __init__(self, dwell: int, minimise: bool) -> None:
         self.rise = math.nan
+        """Mean of r over the last window over that of the best one (its inverse where r is to be
+        large); NaN before there was a window."""
         self.window, self._minimise = max(round(LEVEL.window * dwell), LEVEL.least), minimise
         self.sum, self.count, self._best = 0.0, 0, math.nan
 

@@ -152,10 +152,7 @@ def pace_values(text: str) -> dict[str, Any]:
     >>> pace_values("2.5")
     {'pace': 'scaled', 'time_scale': 2.5}
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it is none of them.
+    Raises ConfigError if it is none of them.
     """
     if text in ("realtime", "lockstep"):
         return {"pace": text}

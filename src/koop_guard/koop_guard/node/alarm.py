@@ -19,15 +19,7 @@ OF_US = (VARIABLE, "NOTIFY_SOCKET")  # in the environment, not for others
 
 
 class Alarm:
-    """Runs ``on_alarm`` once a trip, and says if it failed.
-
-    Parameters
-    ----------
-    config : GuardConfig
-        Names the program.
-    report : callable
-        Receives a line for the log.
-    """
+    """Runs ``on_alarm`` once a trip, and says in a line to ``report`` if it failed."""
 
     def __init__(self, config: GuardConfig, report: Callable[[str], object]) -> None:
         self._config, self._report = config, report
@@ -35,15 +27,7 @@ class Alarm:
         self._running: list[tuple[subprocess.Popen[bytes], float, IO[bytes]]] = []
 
     def start(self, trip: Trip, node: str) -> None:
-        """Start the program, unless it was started for this trip.
-
-        Parameters
-        ----------
-        trip : Trip
-            The facts, which the program finds in its environment.
-        node : str
-            Full name of the guard.
-        """
+        """Start the program, unless it was started for this trip; ``node`` is the guard's name."""
         config = self._config
         if not config.on_alarm or trip is self._trip:
             return

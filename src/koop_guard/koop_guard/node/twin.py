@@ -93,16 +93,9 @@ class Twin:
     def prepare(
         self, config: dict[str, Any], topics: list[str], kinds: Sequence[str], publishers: list[str]
     ) -> None:
-        """Say what it may have to command.
+        """Say what it may have to command: full names and message types of the command.
 
-        Parameters
-        ----------
-        config : dict
-            Values of the guard's configuration.
-        topics, kinds : list of str
-            Full names and message types of the command.
-        publishers : list of str
-            Ids of the rig's publishers, for the note.
+        ``config`` has the values of the guard's, ``publishers`` the ids of the rig's, for the note.
         """
         order = {"config": config, "topics": topics, "kinds": kinds, "publishers": publishers}
         with suppress(OSError):

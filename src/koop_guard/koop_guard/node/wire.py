@@ -22,19 +22,9 @@ SLOWER = 1e-3  # of a rig's clock: it refuses answers to steps that are still to
 class Command:
     """Publishes theta as the rig takes it.
 
-    Parameters
-    ----------
-    create : callable
-        ``create(kind, topic, qos)`` returns a publisher.
-    sources : sequence of Source
-        Topics, by their full names, and the fields that take theta of each knob.
-    kinds : sequence of str
-        Their message types.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a type is not installed or has no such field.
+    ``create(kind, topic, qos)`` returns a publisher; ``sources`` are topics, by their full names,
+    and the fields that take theta of each knob, ``kinds`` their message types. Raises ConfigError
+    if a type is not installed or has no such field.
     """
 
     def __init__(

@@ -45,10 +45,7 @@ FLIGHT = {
 class Flight(SimulatedRig):
     """The aircraft, level and trimmed.
 
-    Raises
-    ------
-    ValueError
-        If JSBSim is not installed, or ``--at`` names a property that it does not have.
+    Raises ValueError if JSBSim is not installed, or has no property that ``--at`` names.
     """
 
     dt, message, topics = STEP, "Imu", ("imu", "gain")

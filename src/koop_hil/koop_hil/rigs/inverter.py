@@ -30,12 +30,8 @@ NOISE = 0.005  # of the sensors [kW], [kvar]
 class Inverter(SimulatedRig):
     """Inverter, line and grid; one that has tripped is replaced by a new one.
 
-    DPsim's memory grows by 18 bytes a step, 0.3 GB in an hour of the rig's time.
-
-    Raises
-    ------
-    ValueError
-        If DPsim is not installed, or ``--at`` names what it does not have.
+    DPsim's memory grows by 18 bytes a step, 0.3 GB in an hour of the rig's time. Raises ValueError
+    if DPsim is not installed, or ``--at`` names what it does not have.
     """
 
     dt, message, topics = DT, "JointState", ("inverter", "kp_power", "kp_pll")

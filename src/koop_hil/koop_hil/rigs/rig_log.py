@@ -55,13 +55,7 @@ def amplitudes(moments: np.ndarray) -> np.ndarray:
 
 
 def during(lines: np.ndarray, folder: Path) -> np.ndarray:
-    """Return the lines of the time of a recording.
-
-    Raises
-    ------
-    ValueError
-        If the log has none.
-    """
+    """Return the lines of the time of a recording; raise ValueError if the log has none."""
     metadata = yaml.safe_load((folder / "bag" / "metadata.yaml").read_text())
     bag = metadata["rosbag2_bagfile_information"]
     clock = lines[:, 0] - 1e-9 * bag["starting_time"]["nanoseconds_since_epoch"]

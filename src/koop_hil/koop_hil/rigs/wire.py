@@ -147,18 +147,9 @@ A ControlInput, which all take on the topic `theta`, names the step that it answ
 
 
 class Wire:
-    """Topics of one rig.
+    """Topics of one rig: of the measurements, of a type in :data:`MESSAGES`, and of each knob.
 
-    Parameters
-    ----------
-    state : str
-        Topic of the measurements.
-    theta : sequence of str
-        Topic of each knob.
-    message : str
-        Type of the measurements, a key of :data:`MESSAGES`.
-    truth : bool
-        Whether the true state of each sample is published, too.
+    With ``truth`` the true state of each sample is published, too.
     """
 
     def __init__(self, state: str, theta: Sequence[str], message: str, truth: bool) -> None:

@@ -26,14 +26,8 @@ Own = TypeVar("Own", bound="Client")
 class Client:
     """A node with a context and an executor of its own; a context manager.
 
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    domain : int, optional
-        ROS domain; by default the one of the environment.
-    udp : bool
-        See :func:`koop_node.node.dds_profile.set_dds_profile`.
+    By default the ROS domain is the one of the environment; ``udp`` is
+    :func:`koop_node.node.dds_profile.set_dds_profile`'s.
     """
 
     def __init__(self, name: str, domain: int | None = None, udp: bool = True) -> None:
@@ -79,12 +73,8 @@ class Client:
     ) -> Result:
         """Spin until a condition, ``what`` in words, is true, and return it.
 
-        Meanwhile ``check`` is called; it may raise.
-
-        Raises
-        ------
-        LiveError
-            If the condition did not become true in so many seconds.
+        Meanwhile ``check`` is called; it may raise. Raises LiveError if the condition did not
+        become true in so many seconds.
         """
         if not (result := self.spin_until(condition, seconds, check)):
             raise LiveError(f"{what}: timed out after {seconds:g} s")

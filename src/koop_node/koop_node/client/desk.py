@@ -28,10 +28,7 @@ _CREDENTIALS = struct.Struct("3i")  # of unix(7): process, user, group
 class Desk:
     """Answers between two steps of a loop, and waits for nobody.
 
-    Parameters
-    ----------
-    place : socket
-        Of :func:`koop_node.client.alone.alone`.
+    ``place`` is of :func:`koop_node.client.alone.alone`.
     """
 
     def __init__(self, place: socket.socket) -> None:
@@ -95,21 +92,9 @@ def find_loops() -> list[str]:
 
 
 def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str, Any]:
-    """Ask a loop, and return its answer, with its ``pid`` and ``user``.
+    """Ask a loop of :func:`find_loops`, and return its answer, with its ``pid`` and ``user``.
 
-    Parameters
-    ----------
-    name : str
-        Of :func:`find_loops`.
-    question : str
-        ``status``, or ``stop``, which is answered at the end.
-    patience : float, optional
-        For the answer [s]; None: any time.
-
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If it does not answer.
+    ``stop`` is answered at the end. Raises LiveError if it does not answer in time [s]; None: any.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as loop:
         loop.settimeout(patience)

@@ -77,10 +77,7 @@ def subscribers_of(node: Node, topic: str) -> list[Any]:
 def message_type_of(topic: str, endpoints: Sequence[Any]) -> str:
     """Return the message type that the endpoints of a topic have, ``pkg/msg/Type``.
 
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If they have several.
+    Raises LiveError if they have several.
     """
     first, *others = sorted({info.topic_type for info in endpoints})
     if others:

@@ -35,12 +35,7 @@ POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside
 def run(node_class: type[ManagedNode[Any]]) -> int:
     """Run a node until it finishes or the process is told to stop; with ``--help`` print its.
 
-    The node's constructor needs no argument.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a clean end, 1 if the node failed, 2 if it could not start.
+    The node's constructor needs no argument. Returns the exit code of :func:`run_nodes`.
     """
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(help_of(node_class, sys.argv[0]))
@@ -64,12 +59,8 @@ def run_nodes(
     is interrupted and the context stays valid for the last publications.
 
     ``make`` returns the nodes, those that listen before those that speak; rclpy is ready then.
-    ``find_stages`` returns their compiled stages; ``KOOP_COMPILED=0`` does without them.
-
-    Returns
-    -------
-    int
-        0 after a clean end, 1 if a node failed or ended before the last one, 2 if it cannot start.
+    ``find_stages`` returns their compiled stages; ``KOOP_COMPILED=0`` does without them. Returns 0
+    after a clean end, 1 if a node failed or ended before the last one, 2 if it cannot start.
     """
     with schedule.running() as timers:
 

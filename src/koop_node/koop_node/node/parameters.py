@@ -33,11 +33,8 @@ class Parameters:
     is called with a new value of every configuration, by class, and the names that were set, before
     it is taken; it raises KoopError to refuse it. ``changed(names)`` is called after that.
 
-    Raises
-    ------
-    ConfigError
-        If a value at the start is unknown, out of range or of the wrong type. What a file says to
-        all nodes of a wildcard may be unknown; ``args`` is the command line that names the file.
+    Raises ConfigError if a value at the start is unknown, out of range or of the wrong type. What a
+    file says to all nodes of a wildcard may be unknown; ``args`` is the command line that names it.
     """
 
     def __init__(
