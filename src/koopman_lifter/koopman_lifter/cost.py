@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from koop_core.borrowed import borrowed
 from koop_core.kernels import njit
+from koop_core.named_tuple import replace
 from koop_core.stream.arrival import Arrival
 from koopman_lifter.observables import Monomials, lift_into
 from koopman_lifter.settings import COST
@@ -162,7 +163,7 @@ def joining(p: DetectorParams) -> DetectorState:
 @njit()
 def resume(state: DetectorState) -> DetectorState:
     """Keep the filters over a silence, so that the next sample is not a jump."""
-    return DetectorState(state.y_previous, state.y_hp, state.y_lp, False, state.settling)
+    return replace(state, primed=False)
 
 
 @njit(inline="always")
@@ -247,9 +248,7 @@ def energy(
 def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float, DetectorState]:
     """Return r and the detector after one sample; y_out must be finite."""
     if not state.primed:
-        return max(state.y_lp, 0.0), DetectorState(
-            y_out, state.y_hp, state.y_lp, True, state.settling
-        )
+        return max(state.y_lp, 0.0), replace(state, y_previous=y_out, primed=True)
     y_hp = p.alpha_hp * state.y_hp + (1.0 - p.alpha_hp) * (y_out - state.y_previous)
     y_lp = p.alpha_lp * state.y_lp + (1.0 - p.alpha_lp) * (y_hp * y_hp)
     return max(y_lp, 0.0), DetectorState(y_out, y_hp, y_lp, True, state.settling)
@@ -276,7 +275,7 @@ def settle(p: DetectorParams, before: DetectorState, after: DetectorState) -> De
         return after
     settling = after.settling - 1
     y_lp = after.y_lp / p.settled if settling == 0 else after.y_lp
-    return DetectorState(after.y_previous, after.y_hp, y_lp, True, settling)
+    return replace(after, y_lp=y_lp, settling=settling)
 
 
 @njit(inline="always")

@@ -56,18 +56,18 @@ class LoadedModel:
         self.work = cost.workspace(self.lifting)
 
 
-class ForeignSource:
+class ForeignSource(StateAdapter):
     """A rig that speaks another message than MeasuredState."""
 
     def __init__(self, source: Source, dt: float) -> None:
-        self.topic, self.fields = source.topic, source.fields
-        self.adapter = StateAdapter(source, dt)
+        super().__init__(source, dt)
+        self.topic = source.topic
         self.publisher: Writer | None = None  # of 'state', while the node is active
-        self._early = self._taken = 0
+        self._before = (0, 0)  # early and taken
 
-    def convert(self, message: Any) -> MeasuredState:
+    def publish(self, message: Any) -> MeasuredState:
         """Publish what the rig measured as 'state', for recording and replay, and return it."""
-        step, x = self.adapter.convert(message)
+        step, x = self.convert(message)
         state = MeasuredState(step=step, x=x)
         header = getattr(message, "header", None)
         if isinstance(header, type(state.header)):  # a package may have a header of its own
@@ -78,9 +78,8 @@ class ForeignSource:
 
     def too_fast(self, taken: int) -> bool:
         """Return whether most messages since the last call came much sooner than a step."""
-        early, before = self.adapter.early - self._early, self._taken
-        self._early, self._taken = self.adapter.early, taken
-        return early > (taken - before) / 2
+        (early, before), self._before = self._before, (self.early, taken)
+        return self.early - early > (taken - before) / 2
 
 
 class BoundedSignal:
@@ -236,7 +235,7 @@ class LifterRun(Run):
 
     def _on_foreign(self, message: Any, written: float) -> None:
         if self._foreign is not None:
-            self._on_state(self._foreign.convert(message), written)
+            self._on_state(self._foreign.publish(message), written)
 
     def _on_state(self, state: Any, written: float) -> None:
         arrival = self._input.hear_message(state, time.monotonic(), written)
@@ -433,14 +432,9 @@ class LifterRun(Run):
         """Return the samples until the delay line is full; 0 where the cost needs none."""
         return self._loaded.work.filling if self._source == cost.LIFTED else 0
 
-    def _believed(self, x: NDArray[np.float64]) -> bool:
-        """Return whether nothing speaks against a state that has no cost yet."""
-        return bool(
-            np.isfinite(x).all() and (self._filling() or self._answer.y_out <= self._detector.y_max)
-        )
-
     def _judge_unusable(self, x: array[float]) -> None:
-        if self._answer.settling and len(x) == self._n and self._believed(np.frombuffer(x)):
+        believed = self._filling() or self._answer.y_out <= self._detector.y_max
+        if self._answer.settling and len(x) == self._n and believed and np.isfinite(x).all():
             return
         if len(x) != self._n:
             needed = f"the model {self._loaded.id} needs" if self._loaded.model else "the first had"

@@ -19,7 +19,7 @@ from koop_bag.mcap.chunk import BEGIN, CHANNEL, LOG_TIME, PUBLISH_TIME, SIZE
 from koop_core.foreign import call
 from koop_core.kernels import direct, njit
 from koop_core.port import take
-from koop_node.node.memory import Memory, functions
+from koop_node.node.memory import Memory, address_of, functions
 
 STEP, HAS_STEP = 5, 6
 """Further columns of the table: the step, of 64 bits without a sign, and whether there is one."""
@@ -136,7 +136,7 @@ class Drain:
 
     def __init__(self) -> None:
         self._memory = Memory()
-        copy = ctypes.cast(ctypes.CDLL(None).memcpy, ctypes.c_void_p).value or 0
+        copy = address_of(ctypes.CDLL(None).memcpy)
         self._functions = functions()[1], copy
         self._taken = _Taken(
             NONE,

@@ -45,20 +45,15 @@ class StepCounter:
         return self._step
 
 
-class StateAdapter:
+class StateAdapter(StepCounter):
     """Takes step, stamp and state out of any message."""
 
     def __init__(self, source: Source, dt: float) -> None:
-        self._fields = source.fields
-        self._steps = StepCounter(dt)
-
-    @property
-    def early(self) -> int:
-        """How many messages came much sooner than a step after the one before."""
-        return self._steps.early
+        super().__init__(dt)
+        self.fields = source.fields
 
     def convert(self, message: Any) -> tuple[int, list[float]]:
         """Return the step and the state, NaN where the message has no such number."""
         stamp = getattr(getattr(message, "header", None), "stamp", None)
-        step = self._steps.next(to_seconds(stamp))
-        return step, [read_field(path, message) for path in self._fields]
+        step = self.next(to_seconds(stamp))
+        return step, [read_field(path, message) for path in self.fields]

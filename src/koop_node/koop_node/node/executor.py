@@ -30,6 +30,7 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 from koop_core.wakeup import Wakeup
+from koop_node.node.memory import address_of
 
 RCLError = rclpy_implementation.RCLError
 AT_ONCE = 50  # messages of one entity before others have their turn
@@ -102,8 +103,8 @@ class Executor:
             self._follow()
         descriptors = [self._descriptors[each] for each in subscriptions]
         return Wakeup(
-            *_waiting(), self._epoll.fileno(), np.array(descriptors, np.int64), until,
-            np.zeros(4, np.int64),
+            _libc("clock_gettime"), _libc("epoll_wait"), _libc("read"), self._epoll.fileno(),
+            np.array(descriptors, np.int64), until, np.zeros(4, np.int64),
         )  # fmt: skip
 
     def look_again(self, subscriptions: Sequence[Subscription]) -> None:
@@ -134,7 +135,7 @@ class Executor:
             descriptor, take = self._descriptors[owner], make(entity)
             self._entities[entity] = descriptor, take
             self._takers[descriptor].append(take)
-            _notify(entity, _eventfd_write(), descriptor)
+            _notify(entity, _libc("eventfd_write"), descriptor)
 
     def _find(self) -> Iterator[tuple[Any, Any, Callable[[Any], Take]]]:
         """Yield each entity with whose descriptor it shares, and what makes its take."""
@@ -216,19 +217,9 @@ def _setters() -> dict[type, Any]:
 
 
 @cache
-def _eventfd_write() -> Any:
-    return ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
-
-
-@cache
-def _waiting() -> tuple[int, int, int]:
-    """Return the addresses of the functions of a :class:`koop_core.wakeup.Wakeup`."""
-    libc = ctypes.CDLL(None)
-
-    def address(function: Any) -> int:
-        return ctypes.cast(function, ctypes.c_void_p).value or 0
-
-    return address(libc.clock_gettime), address(libc.epoll_wait), address(libc.read)
+def _libc(name: str) -> int:
+    """Return the address of a function of libc."""
+    return address_of(getattr(ctypes.CDLL(None), name))
 
 
 def _notify(entity: Any, function: Any, descriptor: int | None) -> None:

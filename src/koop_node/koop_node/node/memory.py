@@ -87,8 +87,11 @@ class _Allocator(ctypes.Structure):
 def functions() -> tuple[int, int]:
     """Return the addresses of the functions that publish and that take."""
     rcl = ctypes.CDLL("librcl.so")
-    functions = rcl.rcl_publish_serialized_message, rcl.rcl_take_serialized_message
-    publish, take = (ctypes.cast(function, ctypes.c_void_p).value for function in functions)
-    assert publish is not None
-    assert take is not None
-    return publish, take
+    return (
+        address_of(rcl.rcl_publish_serialized_message), address_of(rcl.rcl_take_serialized_message)
+    )  # fmt: skip
+
+
+def address_of(function: Any) -> int:
+    """Return where a function of a library is."""
+    return ctypes.cast(function, ctypes.c_void_p).value or 0
