@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -54,6 +55,27 @@ def trajectory_kernel(
     return True
 
 
+def trajectories(
+    plant: PlantConfig, config: TrainingConfig
+) -> Iterator[NDArray[np.float64] | None]:
+    """Simulate the training trajectories one after the other.
+
+    Yields
+    ------
+    ndarray, shape (2, M + 1), or None
+        x'(t_k) of one trajectory, in a buffer that the next one reuses; None if it diverged.
+    """
+    if not config.corrupted:
+        plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
+    rng = np.random.default_rng(config.seed)
+    states = np.empty((2, round(config.duration / plant.dt) + 1))
+    p = plant.params()
+    for _ in range(config.trajectories):
+        theta = rng.uniform(config.theta_low, config.theta_high)
+        x, y = rng.uniform(-3.0, 3.0, size=2)
+        yield states if trajectory_kernel(p, x, y, theta, states) else None
+
+
 def simulated_gram(
     plant: PlantConfig,
     config: TrainingConfig,
@@ -69,21 +91,15 @@ def simulated_gram(
     dropped : int
         Trajectories left out because they diverged.
     """
-    if not config.corrupted:
-        plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
     gram = Gram.empty(Monomials(delays.n, config.degree))
-    rng = np.random.default_rng(config.seed)
-    states = np.empty((2, round(config.duration / plant.dt) + 1))
-    p, dropped = plant.params(), 0
-    for _ in range(config.trajectories):
-        theta = rng.uniform(config.theta_low, config.theta_high)
-        x, y = rng.uniform(-3.0, 3.0, size=2)
-        if not trajectory_kernel(p, x, y, theta, states):
+    dropped = 0
+    for states in trajectories(plant, config):
+        if states is None:
             dropped += 1
-            continue
-        gram.add_trajectory(delays.embed(states))
-        if contrast is not None:
-            contrast.append(settled_moments(states, delays))
+        else:
+            gram.add_trajectory(delays.embed(states))
+            if contrast is not None:
+                contrast.append(settled_moments(states, delays))
     return gram, dropped
 
 
