@@ -55,18 +55,9 @@ def evaluate(
 ) -> Metrics:
     """Compute the metrics of a run from 100 s on; a shorter one counts from its begin.
 
-    Parameters
-    ----------
-    t : ndarray, shape (M,)
-        Uniformly spaced time [s].
-    theta : ndarray, shape (M,) or (M, n)
-        Control input of one or of n knobs; the error is then the distance from theta_star.
-    r : ndarray, shape (M,)
-        Cost.
-    theta_star : float, or n of them
-        Optimal control input.
-    r_star : float, optional
-        Optimal cost, as ``koop_loop.static_map.optimal_cost`` finds it.
+    Time [s] is uniformly spaced; it and the cost have shape (M,), theta has (M,) or, of n knobs,
+    (M, n): the error is then the distance from theta_star. r_star is the cost at theta_star, see
+    :func:`koop_loop.static_map.settled`.
 
     Raises
     ------

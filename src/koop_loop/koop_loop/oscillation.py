@@ -12,17 +12,8 @@ def amplitude(x: NDArray[np.float64]) -> NDArray[np.float64]:
         A = sqrt(2) sigma,   sigma^2 the mean square about the window's straight line
 
     The line takes out the operating point and its drift. Noise and interference of the sensor
-    count, as they do in the signal.
-
-    Parameters
-    ----------
-    x : ndarray, shape (..., L)
-        Evenly spaced samples; L at least 3.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        NaN where a sample is not finite.
+    count, as they do in the signal. The samples, shape (..., L), are evenly spaced, L at least 3;
+    the amplitude, shape (...), is NaN where one is not finite.
     """
     t = np.linspace(-1.0, 1.0, x.shape[-1])
     centred = x - x.mean(axis=-1, keepdims=True)

@@ -85,16 +85,9 @@ def rig_metrics(
 ) -> RigMetrics:
     """Judge a run.
 
-    Parameters
-    ----------
-    t : ndarray, shape (M,)
-        Time [s], evenly spaced but for gaps.
-    x : ndarray, shape (M, n)
-        Measured channels; a window with a value that is not finite is left out.
-    theta : ndarray, shape (M,) or (M, n), or None
-        Control input of one or of n knobs; NaN where it is not known.
-    limited : ndarray of bool, shape (M,), or None
-        Whether theta is at a limit.
+    Time [s], shape (M,), is evenly spaced but for gaps. Of the measured channels, shape (M, n), a
+    window with a value that is not finite is left out. Theta, shape (M,) or, of n knobs, (M, n), is
+    NaN where it is not known; ``limited``, shape (M,), says where it is at a limit.
 
     Raises
     ------

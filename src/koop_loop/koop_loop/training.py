@@ -58,12 +58,9 @@ def trajectory_kernel(
 def trajectories(
     plant: PlantConfig, config: TrainingConfig
 ) -> Iterator[NDArray[np.float64] | None]:
-    """Simulate the training trajectories one after the other.
+    """Yield x'(t_k) of each training trajectory, shape (2, M + 1); None if it diverged.
 
-    Yields
-    ------
-    ndarray, shape (2, M + 1), or None
-        x'(t_k) of one trajectory, in a buffer that the next one reuses; None if it diverged.
+    They share a buffer: the next one overwrites it.
     """
     if not config.corrupted:
         plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
@@ -84,12 +81,8 @@ def simulated_gram(
 ) -> tuple[Gram, int]:
     """Simulate the training trajectories and sum them up; ``contrast`` receives moments of each.
 
-    Returns
-    -------
-    gram : Gram
-        Sums over all snapshot pairs; no pair spans two trajectories.
-    dropped : int
-        Trajectories left out because they diverged.
+    No pair of the sums spans two trajectories. Those that diverged are left out; their number is
+    returned, too.
     """
     gram = Gram.empty(Monomials(delays.n, config.degree))
     dropped = 0

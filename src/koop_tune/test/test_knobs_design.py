@@ -24,7 +24,7 @@ KNOBS = replace(
     RIG, command="/b:z[0],z[1]", theta_min=(-1.0, 0.1), theta_max=(3.0, 10.0), theta_rate=0.5,
     theta_start=(2.0, 5.0), theta_safe=(2.0, 5.0),
 )  # fmt: skip
-TRAINING = BagTraining(BagReading(recorded_source("/state:x"), dt=DT), names=("x",))
+TRAINING = BagTraining(BagReading(recorded_source("/state:x"), dt=DT))
 SETTINGS = TuningSettings(effort=0.02, workers=1)
 START = [0.75, math.log(50.0) / math.log(100.0)]  # the second is on a scale of log theta
 

@@ -121,15 +121,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     def messages(
         self, topics: Collection[str] | None = None, start: int = 0
     ) -> Iterator[RawMessage]:
-        """Messages in the order in which they were recorded.
-
-        Parameters
-        ----------
-        topics : collection of str, optional
-            Only these.
-        start : int
-            Only log times from here on [ns since the epoch].
-        """
+        """Messages, in the order of recording, with log times from ``start`` [ns] on."""
         for name in topics or ():
             self.topic(name)
         unpack, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size

@@ -93,14 +93,10 @@ def git_revision(where: Path) -> str:
 
 
 def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Copy the file that a node's parameter `model` names into `model/`.
+    """Copy the file that a node's parameter `model` names into `model/`; return SHA-256 by name.
 
-    Another file of the same name, from another folder or of another time, is kept beside it.
-
-    Returns
-    -------
-    dict of str to str
-        SHA-256 by file name; what is not a readable local file is left out.
+    Another file of the same name, from another folder or of another time, is kept beside it; what
+    is not a readable local file is left out.
     """
     kept: dict[str, str] = {}
     for values in nodes.values():

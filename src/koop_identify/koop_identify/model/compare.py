@@ -90,7 +90,7 @@ def _learn(loaded: Loaded, training: BagTraining, delays: Delays, most: int | No
             # embedded, it is as many times as large as there are delays
             end = min(begin + length + delays.depth, segment.stop)
             gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
-    names = training.names or state_names(training.reading.measured, delays.channels)
+    names = state_names(training.reading.measured, delays.channels)
     return build_from(gram, training, names, {}, delays)
 
 

@@ -34,8 +34,6 @@ class BagTraining:
     """Largest degree of the monomials; None: 3, or less where delays would make that too many."""
     modes: int = 8
     """Number N of modes to keep."""
-    names: tuple[str, ...] = ()
-    """Names of the states; empty: from the fields."""
     contrast: bool = False
     """Whether the cost is the contrast of strong and weak oscillation (koopman_lifter.contrast) in
     place of the energy of the dominant modes."""
@@ -109,7 +107,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     }
     if delays.count > 1:
         provenance |= {"delays": delays.count, "spacing": delays.every * dt}
-    names = training.names or state_names(measured, delays.channels)
+    names = state_names(measured, delays.channels)
     model = build_from(gram, training, names, provenance, delays)
     if not training.contrast:
         return model

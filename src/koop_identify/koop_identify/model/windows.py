@@ -91,18 +91,9 @@ def settled_windows(
     The length follows from the data: at most what half of the settled samples have in one segment,
     and at most the time in which theta, where it always moves, moves by a tenth of its range.
 
-    Parameters
-    ----------
-    theta : ndarray, shape (M,), or None
-        Control input of every sample, NaN where it is not known; None if it was not recorded.
-    begins : ndarray of bool, shape (M,)
-        Whether a sample follows on none.
-    dt : float
-        Time between two samples [s].
-    skip : float
-        Time that the rig and the detector need after a jump [s].
-    longest : float
-        Longest window [s]; a window shorter than the slowest oscillation says little.
+    Theta, shape (M,), is NaN where it is not known; ``begins``, shape (M,), says which samples, dt
+    [s] apart, follow on none. Rig and detector need ``skip`` [s] after a jump; a window is at most
+    ``longest`` [s], for one shorter than the slowest oscillation says little.
 
     Returns
     -------

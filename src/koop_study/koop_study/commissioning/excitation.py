@@ -84,9 +84,7 @@ def file_of(rig: RandomRig, rate: float, time: float) -> RigFile:
 
 def training_of(rig: RandomRig) -> BagTraining:
     """Return how models of the rig are learned."""
-    names = tuple(f"x{i}" for i in range(rig.channels))
-    reading = BagReading(recorded_source("/state:x"), dt=rig.params.dt)
-    return BagTraining(reading, names=names)
+    return BagTraining(BagReading(recorded_source("/state:x"), dt=rig.params.dt))
 
 
 class Running:
