@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
+from contextlib import nullcontext
 from importlib import import_module
 
 import pytest
 
+from koop_bench import guard
 from koop_bench.command import BENCHMARKS, run_benchmarks
 from koop_bench.figures import BenchFigure, BenchSettings
 from koop_core.errors import KoopError
@@ -53,3 +56,11 @@ def test_a_promise_that_is_not_kept_is_a_failure():
 def test_a_wrong_request_is_refused(words, message, capsys):
     assert main(["bench", *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_sample_that_the_guard_never_answered_counts_as_answered_last(monkeypatch):
+    monkeypatch.setattr(guard, "measure", lambda *_: [0.001] * 998 + [math.inf] * 2)
+    monkeypatch.setattr(guard, "keep_busy", lambda wanted: nullcontext())
+    figures = guard.run(BenchSettings(None, 1, lambda line: None))
+    assert {figure.value for figure in figures} == {"inf ms"}
+    assert not figures[1].kept
