@@ -180,7 +180,7 @@ class Mode(NamedTuple):
     @property
     def share(self) -> str:
         """Its share in words."""
-        return f"{100.0 * self.least:.2g} to {100.0 * self.most:.2g} %"
+        return f"{100.0 * self.least:.3g} to {100.0 * self.most:.3g} %"
 
     def describe(self) -> str:
         """Return its share and its own best in words."""

@@ -343,7 +343,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
                 f"{low} to {high}"
             )
     faults += [
-        f"near theta = {spell(run.theta)} the constraint is broken for {100.0 * run.broken:.2g} % "
+        f"near theta = {spell(run.theta)} the constraint is broken for {100.0 * run.broken:.3g} % "
         f"of the time, {100.0 * aim.settings.broken:g} % is the most"
         for run in runs if run.broken > aim.settings.broken
     ]  # fmt: skip

@@ -26,7 +26,7 @@ from koop_tune.search.settings import TUNING, TuningSettings
 
 
 class NoOptimum(InputError):
-    """There is no optimum to seek: ``kind`` is monotone, flat, drowned or undamped."""
+    """There is no optimum to seek: ``kind`` is monotone, flat, drowned, undamped or unknown."""
 
     def __init__(
         self, kind: str, message: str, findings: Findings | None = None, knob: int = 0

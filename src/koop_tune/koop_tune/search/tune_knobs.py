@@ -126,7 +126,7 @@ def tune_knobs(
         tuning = tune(loaded, rig, training, amplitude, settings, report, safe)
         return KnobsTuning.of_one(rig, tuning)
     if amplitude is None or not lines:
-        raise NoOptimum("flat", "the map over the knobs is not known: record with "
+        raise NoOptimum("unknown", "the map over the knobs is not known: record with "
                         "'koop excite', until it says that the map is known")  # fmt: skip
     # where all knobs are at their limits, what each adds to the square adds up
     settings = replace(settings, limits=math.sqrt(1.0 + (settings.limits**2 - 1.0) / len(lines)))
