@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 from koop_bringup.live.monitor import Progress
 from koop_core.config.knobs import format_knobs
+from koop_core.config.parameter import Settings, parameter
 from koop_core.stream.report import WARN
 
-SILENT = 10.0  # [s] without a report of a node, which reports once a second
+
+@dataclass(frozen=True)
+class HealthSettings(Settings):
+    """When a running loop is healthy."""
+
+    silent: float = parameter(
+        10.0, "without a report of a node", unit="s", low=1.0, origin="it reports once a second"
+    )
+
+
+HEALTH = HealthSettings()
 
 
 def judge_health(
@@ -31,7 +43,7 @@ def judge_health(
     """
     faults = [f"{node} has ended" for node in lost]
     for node in nodes:
-        if node not in lost and now - progress.heard.get(node, -math.inf) > SILENT:
+        if node not in lost and now - progress.heard.get(node, -math.inf) > HEALTH.silent:
             faults.append(f"{node} is silent")
     guard = progress.values.get("koop_guard", {})
     for node, text in progress.told.items():

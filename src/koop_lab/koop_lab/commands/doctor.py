@@ -8,6 +8,7 @@ import os
 import resource
 import shutil
 import socket
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,6 +45,13 @@ class Machine(NamedTuple):
 
 
 Cause = str | None  # of a disturbance, with the remedy; None: all is well
+
+
+def judge_python(machine: Machine) -> Cause:
+    """Find a Python that has no wheels: they are made for some versions."""
+    if (3, 10) <= sys.version_info[:2] <= (3, 13):
+        return None
+    return f"{sys.version.split()[0]}: the ROS 2 wheels are for 3.10 to 3.13; set KOOP_PYTHON"
 
 
 def judge_disk(machine: Machine) -> Cause:
@@ -142,6 +150,7 @@ def judge_processors(machine: Machine) -> Cause:
 
 
 EXAMINATIONS: dict[str, Callable[[Machine], Cause]] = {
+    "Python": judge_python,
     "disk": judge_disk,
     "memory": judge_memory,
     "shared memory": judge_shared_memory,
@@ -152,7 +161,7 @@ EXAMINATIONS: dict[str, Callable[[Machine], Cause]] = {
     "sessions": judge_sessions,
     "processors": judge_processors,
 }
-PREVENTING = ("disk", "memory", "shared memory", "multicast")  # loops; others disturb
+PREVENTING = ("Python", "disk", "memory", "shared memory", "multicast")  # loops; others disturb
 
 
 def register(commands: Any) -> None:
