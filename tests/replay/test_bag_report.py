@@ -211,4 +211,6 @@ def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
     states = dict(zip(signals.names, signals.measured.T, strict=True))
     out = tmp_path / "report.png"
     plot_signals(out, signals.t, states, {"r": signals.r}, {}, "holes", None)
+    nothing = {"x": np.where(signals.t > 5.0, np.inf, np.nan)}  # a sensor that died at once
+    plot_signals(out, signals.t, nothing, nothing, {}, "holes", None)
     assert (tmp_path / "report.png").stat().st_size > 10_000

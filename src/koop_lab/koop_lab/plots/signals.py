@@ -82,9 +82,8 @@ def plot_signals(
     for i, (name, values) in enumerate(costs.items()):
         axis = cost.twinx() if i else cost
         axis.set_ylabel(name, color=f"C{3 * i}")
-        if np.isfinite(values[after]).any():
-            _envelope(axis, t, values, name, f"C{3 * i}")
-            _fit(axis, values[after])
+        _envelope(axis, t, values, name, f"C{3 * i}")
+        _fit(axis, values[after])
     for axis in axes:
         axis.grid(alpha=0.3)
         axis.margins(x=0.0)
@@ -99,10 +98,12 @@ def true_states(truth: NDArray[np.float64]) -> Named:
 
 
 def _fit(axis: Axes, y: NDArray[np.float64]) -> None:
-    """Let the vertical axis fit the values, a little wider."""
-    low, high = float(np.nanmin(y)), float(np.nanmax(y))
-    margin = 0.05 * (high - low) or 1.0
-    axis.set_ylim(low - margin, high + margin)
+    """Let the vertical axis fit the values that are there, a little wider."""
+    y = y[np.isfinite(y)]
+    if y.size:
+        low, high = float(y.min()), float(y.max())
+        margin = 0.05 * (high - low) or 1.0
+        axis.set_ylim(low - margin, high + margin)
 
 
 def _envelope(
