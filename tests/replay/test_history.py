@@ -201,6 +201,22 @@ def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, caps
     assert "No guard was recorded." in text
 
 
+def test_a_loop_of_which_a_channel_more_is_measured_since_is_one_loop(tmp_path, capsys):
+    write_days(tmp_path / "20260102T000000Z-mine", DAY // 2, DAY)  # two channels
+    with BagWriter(tmp_path / "20260101T000000Z-mine" / "bag") as writer:
+        channel = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+        for k in range(6000):
+            time = BEGIN * 10**9 + k * 10**7
+            message = MeasuredState(step=k, x=[np.sin(2.0 * np.pi * k / 100)])
+            writer.write(channel, time, time, serialize_message(message))
+    assert main(["report", str(tmp_path)]) == 0
+    assert "Amplitude of x[1]: 0 in the first tenth" in capsys.readouterr().out
+    panels, _ = read_page(tmp_path / "history.html")
+    assert [len(series["x"]) > 2 for series in panels["Amplitude"]["series"]] == [True] * 4
+    assert panels["Amplitude"]["series"][1]["y"][0] == pytest.approx(1.0, rel=0.01)
+    assert panels["Amplitude"]["series"][3]["y"][0] is None
+
+
 def test_runs_of_several_loops_and_folders_without_a_run_are_refused(week, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert main(["report", str(tmp_path / "empty")]) == 2

@@ -63,11 +63,12 @@ def write_sentences(history: History) -> Iterator[str]:
         f"{name}{format_span(recorded)} recorded in {_count(len(runs), 'run')}, "
         f"{_share(recorded, end - begin)} of the time."
     )
-    tenth = max(1, len(rows.time) // 10)
     for channel, amplitude in zip(history.channels, rows.amplitude.T, strict=True):
-        if not np.isfinite(amplitude).any():
+        known = amplitude[np.isfinite(amplitude)]
+        if not known.size:
             continue
-        first, last = (np.nanmedian(part) for part in (amplitude[:tenth], amplitude[-tenth:]))
+        tenth = max(1, known.size // 10)
+        first, last = np.median(known[:tenth]), np.median(known[-tenth:])
         at = int(np.nanargmax(amplitude))
         yield (
             f"Amplitude of {channel}: {first:.3g} in the first tenth of the time, {last:.3g} in "

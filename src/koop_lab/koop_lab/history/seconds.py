@@ -88,8 +88,9 @@ def from_seconds(seconds: Sequence[LoopSecond]) -> Rows:
 
 
 def _filled(values: Floats, least: int) -> Floats:
-    """Return values, shape (n,), with NaN behind them up to a least number."""
-    return np.r_[values, np.full(max(least - values.size, 0), np.nan)]
+    """Return values, shape (..., n), with NaN behind them up to a least n."""
+    lacking = [(0, 0)] * (values.ndim - 1) + [(0, max(least - values.shape[-1], 0))]
+    return np.pad(values, lacking, constant_values=np.nan)
 
 
 def with_guard(rows: Rows, time: Floats, theta: Floats, tripped: NDArray[np.bool_]) -> Rows:
@@ -112,8 +113,10 @@ def with_guard(rows: Rows, time: Floats, theta: Floats, tripped: NDArray[np.bool
 
 
 def join(parts: Iterable[Rows]) -> Rows:
-    """Return rows, one after the other."""
+    """Return rows, one after the other; those of fewer channels have NaN for the others."""
     parts = list(parts)
+    n = max(part.power.shape[1] for part in parts)
+    parts = [replace(p, power=_filled(p.power, n), x=_filled(p.x, n)) for p in parts]
     return Rows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows)))
 
 
