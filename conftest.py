@@ -34,8 +34,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 @pytest.hookimpl(optionalhook=True)  # there may be no xdist
 def pytest_xdist_auto_num_workers() -> int:
-    """Three workers on two processors: tests wait for nodes, but a rig must not for a processor."""
-    return max(3 * len(os.sched_getaffinity(0)) // 2, 2)
+    """Two workers a processor: most tests wait for their nodes half of the time."""
+    return 2 * len(os.sched_getaffinity(0))
 
 
 @pytest.fixture(scope="session")
