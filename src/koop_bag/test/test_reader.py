@@ -1,10 +1,14 @@
 """Bags that are foreign, torn or absent, and bags written by others."""
 
+from dataclasses import replace
+
 import pytest
 from koop_bag_messages import LOOP, PERIOD, START
+from mcap.records import Statistics
 from mcap.writer import CompressionType, Writer
 
 from koop_bag.bag.columns import read_columns
+from koop_bag.bag.info import as_text, describe
 from koop_bag.bag.metadata import OfferedQos, parse_qos
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.schema import load_schema
@@ -63,6 +67,67 @@ def test_files_of_the_mcap_library_are_read(tmp_path, messages, compression, chu
         columns = read_columns(reader, "/state", ["step", "x"])
     assert columns["step"].tolist() == list(range(300))
     assert columns["x"][299].tolist() == [299.25, -299.5]
+
+
+@pytest.mark.parametrize("lacking", ["counts", "repeat_schemas", "repeat_channels"])
+def test_what_the_summary_leaves_out_is_read_from_the_file(
+    tmp_path, messages, monkeypatch, lacking
+):
+    """A writer may: https://mcap.dev/spec, sections "Statistics" and "Summary Section"."""
+    path, write = tmp_path / "foreign.mcap", Statistics.write
+    if lacking == "counts":
+        bare = {"channel_message_counts": {}}
+        monkeypatch.setattr(
+            Statistics, "write", lambda self, out: write(replace(self, **bare), out)
+        )
+    with open(path, "wb") as stream:
+        writer = Writer(stream, **({} if lacking == "counts" else {lacking: False}))
+        writer.start("ros2")
+        schema = load_schema(LOOP["/state"])
+        number = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+        channel = writer.register_channel("/state", "cdr", number)
+        for k in range(3):
+            writer.add_message(channel, START + k, messages.loop("/state", k), START, k)
+        writer.finish()
+    with BagReader(path) as reader:
+        assert (reader.message_count, reader.start_time, reader.end_time) == (3, START, START + 2)
+        assert reader.topic("/state").type_name == LOOP["/state"]
+        assert read_columns(reader, "/state", ["step"])["step"].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("encoding", "language", "definition"),
+    [
+        ("cdr", "ros2idl", b"module p { module msg { struct T { double x; }; }; };"),
+        ("cdr", "ros2msg", b"Missing x"),
+        ("json", "jsonschema", b"{}"),
+    ],
+)
+def test_a_topic_that_cannot_be_decoded_leaves_the_others_readable(
+    tmp_path, messages, encoding, language, definition
+):
+    path = tmp_path / "foreign.mcap"
+    with open(path, "wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = load_schema(LOOP["/state"])
+        number = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+        state = writer.register_channel("/state", "cdr", number)
+        number = writer.register_schema("p/msg/T", language, definition)
+        other = writer.register_channel("/other", encoding, number)
+        for k in range(5):
+            writer.add_message(state, START + k * PERIOD, messages.loop("/state", k), START, k)
+            writer.add_message(other, START + 2 * k * PERIOD, b"{}", START, k)
+        writer.finish()
+    with BagReader(path) as reader:
+        lines = as_text(describe(reader)).splitlines()
+        assert lines[-2].split() == ["/state", "5", "200.0", "0", LOOP["/state"]]
+        assert lines[-1].split() == ["/other", "5", "100.0", "-", "p/msg/T"]
+        with pytest.raises(BagError, match=r"lacks p/Missing|has no ROS 2 message definition"):
+            read_columns(reader, "/other")
+        sent = read_columns(reader, "/other", ["sequence", "log_time"])
+    assert sent["sequence"].tolist() == list(range(5))
+    assert sent["log_time"].tolist() == [START + 2 * k * PERIOD for k in range(5)]
 
 
 def test_equal_times_keep_the_order_of_recording(tmp_path, messages):

@@ -125,13 +125,14 @@ class _Wanted(NamedTuple):
     """The wanted columns of a topic, and what finds the layout of a message with its fields."""
 
     columns: Sequence[str]
-    find: Callable[[bytes], Layout]
+    find: Callable[[bytes], Layout] | None
+    """None where no field is wanted, but what every topic has."""
 
 
 def _want(bag: BagReader, topic: str, fields: Sequence[str] | None) -> _Wanted:
     columns = list_fields(bag, topic) if fields is None else fields
     taken = tuple(name for name in columns if name not in STORED)
-    return _Wanted(columns, LayoutFinder(definition_of(bag, topic), taken).find)
+    return _Wanted(columns, LayoutFinder(definition_of(bag, topic), taken).find if taken else None)
 
 
 def _decode_batch(
@@ -162,10 +163,14 @@ def _decode_topic(
 ) -> Columns:
     """Columns of the message records whose content starts at `starts`."""
     fixed = MESSAGE_HEAD.size
-    try:
-        columns = decode(buffer, starts + fixed, sizes - fixed, wanted.find)
-    except BagError as error:
-        raise BagError(f"topic {topic}: {error}") from error
+    if (sizes < fixed).any():
+        raise BagError(f"topic {topic}: a message record is cut short")
+    columns: Columns = {}
+    if wanted.find is not None:
+        try:
+            columns = decode(buffer, starts + fixed, sizes - fixed, wanted.find)
+        except BagError as error:
+            raise BagError(f"topic {topic}: {error}") from error
     for name, (offset, dtype) in STORED.items():
         if name in wanted.columns:
             columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]

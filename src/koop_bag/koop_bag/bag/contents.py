@@ -53,7 +53,8 @@ def _read_summary(contents: FileContents) -> bool:
                 statistics.message_start_time,
                 statistics.message_end_time,
             )
-            counted = True
+            # a writer may leave out how many each channel has, and say how many there are
+            counted = sum(contents.counts.values()) == statistics.message_count
         elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             _note(contents, place.opcode, file.content(place), place.start)
         elif place.opcode == Opcode.METADATA_INDEX:
@@ -61,7 +62,12 @@ def _read_summary(contents: FileContents) -> bool:
             head = RECORD_HEAD.size
             data = file.content(Place(0, index.offset + head, index.length - head))
             _note(contents, Opcode.METADATA, data, index.offset)
-    return counted and all(number in contents.channels for number in contents.counts)
+    schemas = {channel.schema_id for channel in contents.channels.values()} - {0}  # 0: has none
+    return (
+        counted
+        and contents.counts.keys() <= contents.channels.keys()
+        and (schemas <= contents.schemas.keys())
+    )
 
 
 def _note(contents: FileContents, opcode: int, data: bytes, where: int) -> None:

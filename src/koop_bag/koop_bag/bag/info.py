@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ from koop_bag.bag.losses import LossCounter, StepReport, early_ends
 from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.definition import has_step
+from koop_bag.errors import BagError
 
 
 @dataclass
@@ -57,13 +59,13 @@ def describe(bag: BagReader) -> BagInfo:
     counters: dict[str, LossCounter] = {}
     fields: dict[str, list[str]] = {}
     for topic in bag.topics:
-        if topic.encoding == "cdr" and topic.definition:
-            fields[topic.name] = [LOG_TIME]
+        fields[topic.name] = [LOG_TIME]
+        with suppress(BagError):  # without a definition that can be read, the times are known
+            if "model_id" in list_fields(bag, topic.name):
+                fields[topic.name].append("model_id")
             if has_step(topic.type_name, topic.definition):
                 fields[topic.name].append("step")
                 counters[topic.name] = LossCounter()
-            if "model_id" in list_fields(bag, topic.name):
-                fields[topic.name].append("model_id")
     spans: dict[str, tuple[int, int]] = {}
     models: dict[str, None] = {}
     for name, columns in iter_tables(bag, fields):

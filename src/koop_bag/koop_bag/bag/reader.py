@@ -39,6 +39,7 @@ class BagTopic:
     name: str
     type_name: str
     definition: str
+    """In the language of .msg files; empty where there is none in it."""
     encoding: str = "cdr"
     metadata: dict[str, str] = field(default_factory=dict)
     count: int = 0
@@ -169,13 +170,16 @@ class BagReader(AbstractContextManager["BagReader"]):
     def _take_in(self, item: FileContents) -> None:
         for number, channel in item.channels.items():
             schema = item.schemas.get(channel.schema_id)
-            type_name, text = (
-                (schema.name, schema.data.decode("utf-8", "replace")) if schema else ("", "")
-            )
+            type_name = schema.name if schema else ""
             topic = self._topics.get(channel.topic)
             if topic is None:
+                text = schema.data if schema and schema.encoding == "ros2msg" else b""
                 topic = BagTopic(
-                    channel.topic, type_name, text, channel.message_encoding, dict(channel.metadata)
+                    channel.topic,
+                    type_name,
+                    text.decode("utf-8", "replace"),
+                    channel.message_encoding,
+                    dict(channel.metadata),
                 )
                 self._topics[channel.topic] = topic
             elif topic.type_name != type_name:
