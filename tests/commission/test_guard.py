@@ -3,6 +3,7 @@
 import itertools
 import os
 import re
+import resource
 import shlex
 import signal
 import socket
@@ -658,3 +659,24 @@ def test_a_twin_that_was_stopped_at_its_start_hangs(own_domain):
     finally:
         twin.process.kill()
         twin.release([0.0])
+
+
+def test_a_twin_that_cannot_be_replaced_at_once_is_later(start, probe, states):
+    """Failed before: the guard ended, and left theta to nobody."""
+    guard = start("koop_guard", measured="state:x[0]", command="/knob:data", dt=0.2)
+    main = guard.process.pid
+
+    def twin():
+        pids = Path(f"/proc/{main}/task/{main}/children").read_text().split()
+        return pids and int(pids[0])
+
+    probe.collect(Float64, "/knob")
+    state = probe.node.create_publisher(MeasuredState, "state", 10)
+    probe.spin_until(lambda: state.publish(MeasuredState(x=[random()])) or states, "the guard")
+    first, limit = twin(), resource.prlimit(main, resource.RLIMIT_NOFILE)
+    resource.prlimit(main, resource.RLIMIT_NOFILE, (3, limit[1]))  # none is left
+    os.kill(first, signal.SIGKILL)
+    wait(lambda: "it cannot be started: " in guard.log.read_text(), "its error")
+    assert guard.poll() is None
+    resource.prlimit(main, resource.RLIMIT_NOFILE, limit)
+    wait(lambda: twin() not in (first, []), "another twin")

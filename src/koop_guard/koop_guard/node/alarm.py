@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -45,8 +44,9 @@ class Alarm:
         }
         environment = {name: value for name, value in os.environ.items() if name not in OF_US}
         environment |= {f"KOOP_ALARM_{name}": value for name, value in facts.items()}
-        said = tempfile.TemporaryFile()  # noqa: SIM115 - a pipe would fill up
         try:
+            # a pipe would fill up, and a disk may be full: that may be what has failed
+            said = open(os.memfd_create("on_alarm"), "w+b")  # noqa: SIM115 - check() closes it
             process = subprocess.Popen(
                 shlex.split(config.on_alarm), env=environment, stdin=subprocess.DEVNULL,
                 stdout=said, stderr=said, start_new_session=True,

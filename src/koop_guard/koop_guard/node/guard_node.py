@@ -212,7 +212,7 @@ class GuardRun(Run):
             return ERROR, f"{why}; rearm it: koop status --rearm, or the page", values
         if guard.status is Status.WAITING:
             return WARN, "nothing is commanded: the controller has not answered yet", values
-        if twin is not None and not twin.shared.ready:
+        if twin is not None and not (twin.shared.ready and twin.process.poll() is None):
             return WARN, "the guard's twin is not ready", values
         return OK, "moves theta to ~/target" if self._to_target else "following", values
 
@@ -345,7 +345,11 @@ class GuardRun(Run):
             how = "has ended" if ended else "does not get ready"
             self._node.get_logger().error(f"the guard's twin {how}: another one is started")
             twin.process.kill()
-            self._twin = Twin()
+            try:
+                self._twin = Twin()
+            except OSError as error:  # theta must not be left to nobody: it is tried again
+                self._node.get_logger().error(f"it cannot be started: {error}")
+                return
             self._twin.prepare(*self._order)
 
     def _find_reset(self, service: str) -> None:

@@ -17,7 +17,6 @@ import signal
 import struct
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -74,7 +73,7 @@ class Twin:
     """The twin, seen from the guard; it is ready a while after :meth:`prepare`."""
 
     def __init__(self) -> None:
-        with tempfile.TemporaryFile() as file:
+        with open(os.memfd_create("theta"), "wb") as file:  # a disk may be full
             file.truncate(_SIZE)
             self.shared = SharedTheta(file.fileno())
             self.process = subprocess.Popen(

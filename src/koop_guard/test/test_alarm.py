@@ -1,0 +1,34 @@
+"""The user's program that runs at a trip."""
+
+import tempfile
+import time
+
+from koop_guard.config import GuardConfig
+from koop_guard.guard import Cause, Trip
+from koop_guard.node.alarm import Alarm
+
+TRIP = Trip(Cause.ASKED, "~/trip was called", 0.0, (0.5,), (1.0, 2.0))
+
+
+def test_an_alarm_runs_and_its_failure_is_told_though_the_disk_is_full(monkeypatch):
+    """Failed before: the guard, or its twin on the way to theta_safe, ended with a traceback."""
+    monkeypatch.setattr(tempfile, "tempdir", "/no/room")
+    program = "sh -c 'echo $KOOP_ALARM_CAUSE, no mail >&2; exit 3'"
+    reports = []
+    alarm = Alarm(GuardConfig("/a:x", "/b:z", on_alarm=program), reports.append)
+    for _ in range(2):  # once a trip
+        alarm.start(TRIP, "/koop_guard")
+    deadline = time.monotonic() + 60.0
+    while not reports and time.monotonic() < deadline:
+        alarm.check()
+        time.sleep(0.01)
+    (report,) = reports
+    assert "failed: exit code 3" in report
+    assert report.endswith(": asked, no mail")
+
+
+def test_a_program_that_is_not_there_is_told():
+    reports = []
+    Alarm(GuardConfig("/a:x", "/b:z", on_alarm="/no/program"), reports.append).start(TRIP, "guard")
+    (report,) = reports
+    assert "on_alarm = '/no/program' was not started" in report
