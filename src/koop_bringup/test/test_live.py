@@ -2,13 +2,17 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 
 import pytest
 
+from koop_bringup.live.health import describe_loop
 from koop_bringup.live.loop import LiveNodes
+from koop_bringup.live.monitor import Progress
+from koop_bringup.live.notify import ServiceManager
 from koop_bringup.live.process import NodeProcess
 from koop_bringup.plan import Plan
 
@@ -131,6 +135,40 @@ def test_a_process_that_nobody_tied_does_not_look_at_its_stdin():
         stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, timeout=60,
     )  # fmt: skip
     assert "told" not in done.stdout
+
+
+def test_a_file_of_the_recording_that_goes_meanwhile_is_not_counted(tmp_path):
+    """Failed before: who asked for the status just then ended the loop."""
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "kept.mcap").write_bytes(bytes(1_500_000))
+    (tmp_path / "bag" / "dropped.mcap").symlink_to("nowhere")
+    text = describe_loop(Progress(), [], {}, tmp_path, True, 1.0)
+    assert "recording, 1.5 MB" in text
+
+
+def test_a_loop_that_stands_still_gives_a_sign_of_life_only_if_a_node_of_it_says_why(
+    tmp_path, monkeypatch
+):
+    """Failed before: any driver that warned for good kept a loop that hung from its restart."""
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.setblocking(False)
+        service, progress = ServiceManager(), Progress(step=7)
+
+        def is_alive():
+            progress.heard["relay_esc"] = time.monotonic()
+            service.report(progress, ["relay_esc"], "healthy")
+            try:
+                return manager.recv(4096).startswith(b"READY=1\nWATCHDOG=1\n")
+            except BlockingIOError:
+                return False
+
+        assert [is_alive(), is_alive()] == [True, False]
+        progress.findings["camera"] = "camera WARN: cold"
+        assert not is_alive()
+        progress.findings["relay_esc"] = "relay_esc STALE: nothing on 'cost'"
+        assert is_alive()
 
 
 def test_a_program_that_knows_nothing_of_ours_ends_on_sigint(tmp_path):

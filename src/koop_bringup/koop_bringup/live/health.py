@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -83,7 +84,10 @@ def describe_loop(
     if guard is not None:
         rig += f", command {guard['command']}"
     theta = format_knobs(progress.theta)
-    size = sum(file.stat().st_size for file in (folder / "bag").glob("*"))
+    size = 0
+    for file in (folder / "bag").glob("*"):
+        with suppress(FileNotFoundError):  # the recorder drops the oldest
+            size += file.stat().st_size
     return "\n".join(
         [
             "  " + ("not healthy: " + "; ".join(faults) if faults else "healthy"),

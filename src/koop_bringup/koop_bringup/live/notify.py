@@ -33,7 +33,7 @@ class ServiceManager:
         heard = {node: progress.heard[node] for node in nodes if node in progress.heard}
         if len(heard) < len(nodes) or any(self._heard.get(n) == when for n, when in heard.items()):
             return
-        if progress.step == self._step > 0 and not progress.findings:
+        if progress.step == self._step > 0 and not progress.findings.keys() & set(nodes):
             return
         self._heard, self._step = heard, progress.step
         self._say(f"READY=1\nWATCHDOG=1\nSTATUS={status}")
