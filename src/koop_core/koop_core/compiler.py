@@ -71,8 +71,25 @@ def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> An
                 for module in _Cache.locks.keys() - before:
                     os.close(_Cache.locks.pop(module))
 
+    find_template = dispatcher.get_call_template
+
+    def find_plain_template(arguments: Any, keywords: Any) -> Any:
+        plain = {name: _plain(kind) for name, kind in keywords.items()}
+        return find_template(tuple(map(_plain, arguments)), plain)
+
     dispatcher.compile = compile_alone
+    dispatcher.get_call_template = find_plain_template
     return dispatcher
+
+
+def _plain(kind: Any) -> Any:
+    """Return the type as which a kernel takes an argument from another kernel.
+
+    Numba would compile a kernel again for each constant and each enumeration that is passed.
+    """
+    if isinstance(kind, types.IntEnumMember):
+        return kind.dtype
+    return types.unliteral(kind) if isinstance(kind, types.IntegerLiteral) else kind
 
 
 @overload(replace, strict=False)  # its parameters are the fields
