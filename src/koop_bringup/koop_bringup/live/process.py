@@ -20,7 +20,7 @@ from koop_loop.ending import describe_end
 from koop_loop.parameters import CONTAINER, EXECUTABLES
 from koop_node.process.lifeline import OWN_GROUP, TIED, deferred_signals
 
-START_TIMEOUT = 120.0  # [s] for imports and, the first time, for the compilation of the kernels
+START_TIMEOUT = 300.0  # [s] for imports and, the first time, for the compilation of the kernels
 RESUMED = 1.0  # [s] in which a stopped process that goes on gives a sign of life
 STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
 
