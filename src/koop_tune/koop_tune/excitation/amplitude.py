@@ -380,14 +380,15 @@ def choose_amplitude(
     motion = np.maximum(mean - background, 0.0)
     size = (motion * reacts).sum(axis=2).max(axis=0)
     hides = (background * reacts).sum(axis=1)
-    use = (size > 0.0) & (
-        hides < max(AMPLITUDE.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0) * size
-    )
-    if not use.any():  # what differs at one place is then all that there is, as with hysteresis
+    w = np.array(importance or [1.0] * size.size)
+    counts = (size > 0.0) & (w > 0.0)
+    if not counts.any():  # what differs at one place is then all that there is, as with hysteresis
         known = windows, holds, importance, (), hidden, beside
         return choose_amplitude(*known) if len(places) else None
-    w = np.where(use, np.array(importance or [1.0] * size.size), 0.0)
-    weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()
+    least = float((hides[counts] / size[counts]).min())
+    use = counts & (hides < max(AMPLITUDE.hidden, least * 2.0) * size)
+    w = np.where(use, w, 0.0)
+    weight = reacts * (w / np.where(use, size, 1.0))[:, None] / w.sum()
     unseen = weight.max(axis=1) @ np.array(hidden or [0.0] * size.size)
     floor = math.sqrt(float((weight * unsure).sum() + unseen) + TINY)
     seen = mean.max(axis=0)
