@@ -384,6 +384,10 @@ def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
     amplitude = choose_amplitude(WINDOWS, holds)
     means = [power.mean(axis=0) for power in holds]
     assert amplitude.period(means) == amplitude.period(means[:2]) == pytest.approx(1 / 3, rel=0.1)
+    (mode,) = amplitude.modes(holds, ["x"])
+    assert mode.share == "100 to 100 %"  # failed before: 1e+290 %
+    # nor is a part below what can be told of the sum
+    assert amplitude.part(mode, holds[-1]) == pytest.approx(np.full(COUNT, amplitude.floor**2))
 
 
 def test_a_drift_that_reacts_has_no_period_and_that_of_the_oscillation_is_told():

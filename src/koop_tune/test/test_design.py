@@ -232,6 +232,8 @@ def test_windows_that_come_back_to_their_length_lose_no_hold(monkeypatch):
     class Reacts:
         """It looks slow through short windows and fast through long ones."""
 
+        weight = 1.0
+
         def __init__(self, windows):
             self.factor = 2.0 if windows.length < 1.5 * length else 1.0
 
@@ -304,6 +306,18 @@ def test_a_slow_oscillation_far_from_the_best_sets_no_windows():
     assert design.ended == KNOWN
     assert design.windows.seconds < 20.0 * PERIOD
     assert abs(design.static_map().best() - 0.4) < 0.1
+
+
+def test_a_coarse_sensor_may_read_one_value_in_the_whole_valley():
+    """Failed before: an error of NumPy's, as what is near the best had no period."""
+    rig = Simulated(lambda u: 1.0 if abs(u - 0.6) > 0.2 else -12.0)
+    fine = rig.stay
+    rig.stay = lambda samples: 0.1 * np.round(fine(samples) / 0.1)
+    design, _ = excite(rig)
+    assert design.ended == KNOWN
+    assert abs(design.static_map().best() - 0.6) < 0.2
+    valley = design.static_map().valley()
+    assert (valley.low, valley.high) == pytest.approx((0.4, 0.8), abs=0.06)
 
 
 def test_where_windows_become_longer_theta_goes_to_each_place_once():

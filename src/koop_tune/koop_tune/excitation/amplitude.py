@@ -284,24 +284,30 @@ class Amplitude:
         return rows
 
     def modes(self, holds: Sequence[Array], channels: Sequence[str]) -> list[Mode]:
-        """Return what reacts, without minor parts, from powers of holds, shape (W, n, G)."""
+        """Return what reacts, without minor parts, from powers of holds, shape (W, n, G).
+
+        A hold without any power, where a coarse sensor reads one value, has no shares.
+        """
+        parts = np.array([self.weight * power.mean(axis=0) for power in holds])
+        totals = parts.sum(axis=(1, 2))
+        parts = parts[totals > 0.0] / totals[totals > 0.0, None, None]
         rows = []
         for channel, first, last in self.ranges:
             name = f"{channels[channel]} at {self._spell_band(first, last)}"
-            mode = Mode(name, channel, first, last, 0.0, 0.0)
-            shares = [
-                float(self.part(mode, power).mean())
-                / max(float((self.weight * power.mean(axis=0)).sum()), 1e-300)
-                for power in holds
-            ]
-            if max(shares) >= AMPLITUDE.minor:
-                rows.append(mode._replace(least=min(shares), most=max(shares)))
+            shares = parts[:, channel, first : last + 1].sum(axis=1)
+            if shares.max() >= AMPLITUDE.minor:
+                least, most = float(shares.min()), float(shares.max())
+                rows.append(Mode(name, channel, first, last, least, most))
         return sorted(rows, key=lambda mode: -mode.most)
 
     def part(self, mode: Mode, powers: Array) -> Array:
-        """Return what a mode has of A^2 in each window, shape (W,), with its background."""
+        """Return what a mode has of A^2 in each window, shape (W,), with its background.
+
+        As A itself it is not below the floor's.
+        """
         groups = slice(mode.first, mode.last + 1)
-        return powers[:, mode.channel, groups] @ self.weight[mode.channel, groups] + TINY
+        part = powers[:, mode.channel, groups] @ self.weight[mode.channel, groups]
+        return np.maximum(part, self.floor**2)
 
     def name(self, channels: Sequence[str]) -> str:
         """Return in words what is summed."""

@@ -632,8 +632,10 @@ class Design:
             if max(squares) < s.clear**2 * max(min(squares), 0.0):
                 break  # of what reacts a little the frequency is not known
             y = self.rig.sense * reacts.log(np.array(squares))
-            near = np.flatnonzero(y <= y.min() + math.log(s.far))
-            self.period = reacts.period([powers[i].mean(axis=0) for i in near])
+            means = [p.mean(axis=0) for p in powers]
+            moves = np.array([(reacts.weight * mean).any() for mean in means])  # has a period
+            near = np.flatnonzero(moves & (y <= y[moves].min() + math.log(s.far)))
+            self.period = reacts.period([means[i] for i in near])
             length = window_length(self.period, s.window, self.rig.dt)
             if self._queue and self._slow:  # until theta was where that shows
                 length = max(length, self.windows.length)
