@@ -8,13 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
 from websockets.exceptions import ConnectionClosed
 
 from koop_bag.bag.playback import in_time_order
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_view.protocol import ENCODING, ERROR, INFO, AdvertisedChannel
+from koop_view.protocol import ENCODING, ERROR, INFO, SCHEMA_ENCODING, AdvertisedChannel
 from koop_view.roles import LoopNames, find_loops, namespace_of
 from koop_view.session import ClientSession, ViewSource
 
@@ -43,11 +42,13 @@ class RecordedSource(ViewSource):
         self._path = path
         self._tasks: set[asyncio.Task[None]] = set()
         with BagReader(path) as bag:
-            topics = [item for item in bag.topics if item.encoding == ENCODING]
-            nodes = yaml.safe_load(bag.custom_data().get("parameters", "")) or {}
-        for node, content in nodes.items():
-            values = content["ros__parameters"].items()
-            self.parameters |= {f"{node}.{name}": value for name, value in values}
+            topics = [
+                item
+                for item in bag.topics
+                if (item.encoding, item.language) == (ENCODING, SCHEMA_ENCODING)
+            ]
+            for node, values in bag.parameters.items():
+                self.parameters |= {f"{node}.{name}": value for name, value in values.items()}
         for number, item in enumerate(topics, 1):
             self.channels[number] = AdvertisedChannel(
                 number, item.name, item.type_name, item.definition

@@ -14,7 +14,8 @@ from koop_view_running import TIMEOUT, client, closed_with, heard, running, tell
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from koop_bag.bag.writer import BagWriter
-from koop_bag.cdr.schema import load_schema
+from koop_bag.cdr.schema import MessageSchema, load_schema
+from koop_bag.errors import BagError
 from koop_core.config.parameter import ConfigError
 from koop_view.config import ViewConfig
 from koop_view.protocol import SUBPROTOCOLS, AdvertisedChannel, AdvertisedService
@@ -241,3 +242,24 @@ def test_a_topic_of_a_recording_goes_on_when_another_is_unsubscribed(recording):
         tell(viewer, "unsubscribe", subscriptionIds=[1])
         messages = [item for item in received(viewer, topics) if item[0] == "/c"]
     assert messages == [item for item in written if item[0] == "/c"]
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_recording_shows_the_parameters_of_its_nodes_and_what_it_can_show(tmp_path, closed):
+    text = "/esc:\n  ros__parameters:\n    dwell: 2.5\n/other: 1\n/another:\n  a: 1\n"
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/a", load_schema("std_msgs/msg/Empty"))
+        bag.add_topic("/b", MessageSchema("p/msg/T", "struct T {};", "", "ros2idl"))
+        if closed:
+            bag.keep({"parameters": text})
+    (tmp_path / "parameters.yaml").write_text("a: [" if closed else text)  # the bag's counts
+    source = RecordedSource(tmp_path)
+    assert source.parameters == {"/esc.dwell": 2.5}
+    assert [channel.topic for channel in source.channels.values()] == ["/a"]
+
+
+def test_a_record_of_parameters_that_is_none_is_refused_in_a_line(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.keep({"parameters": "a: ["})
+    with pytest.raises(BagError, match="record of parameters is not valid YAML"):
+        RecordedSource(tmp_path)

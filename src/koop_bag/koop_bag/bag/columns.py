@@ -180,7 +180,7 @@ def _decode_topic(
 def definition_of(bag: BagReader, topic: str) -> Struct:
     """Return the message type of a topic, as the bag defines it."""
     info = bag.topic(topic)
-    if info.encoding != "cdr" or not info.definition:
+    if info.encoding != "cdr" or info.language != "ros2msg" or not info.definition:
         raise BagError(
             f"topic {topic} ('{info.encoding}') has no ROS 2 message definition: "
             "only its raw messages can be read"

@@ -9,7 +9,6 @@ from typing import Any
 
 from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
 from koop_bag.bag.losses import LossCounter, StepReport, early_ends
-from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.definition import has_step
 from koop_bag.errors import BagError
@@ -42,16 +41,7 @@ class BagInfo:
     topics: list[TopicInfo]
     model_ids: list[str]
     custom: dict[str, str]
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """Parameters by node, as they were recorded."""
-        nodes = parse_map(self.custom.get("parameters", ""), "record of parameters")
-        return {
-            str(name): node.get("ros__parameters", {})
-            for name, node in nodes.items()
-            if isinstance(node, dict)
-        }
+    parameters: dict[str, dict[str, Any]]
 
 
 def describe(bag: BagReader) -> BagInfo:
@@ -95,6 +85,7 @@ def describe(bag: BagReader) -> BagInfo:
         topics=topics,
         model_ids=[model for model in models if model],
         custom=bag.custom_data(),
+        parameters=bag.parameters,
     )
 
 

@@ -39,7 +39,8 @@ class BagTopic:
     name: str
     type_name: str
     definition: str
-    """In the language of .msg files; empty where there is none in it."""
+    language: str = "ros2msg"
+    """Of the definition; others than that of .msg files are not read."""
     encoding: str = "cdr"
     metadata: dict[str, str] = field(default_factory=dict)
     count: int = 0
@@ -99,6 +100,24 @@ class BagReader(AbstractContextManager["BagReader"]):
     def custom_data(self) -> dict[str, str]:
         """Return the bag's `custom_data`."""
         return custom_texts(self.description)
+
+    @cached_property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Parameters by node, as they were recorded; what is not of a node is left out.
+
+        They stand in the bag itself, or in the run's folder while the bag is not closed.
+        """
+        text, folder = self.custom_data().get("parameters", ""), self.files[0].parent
+        for place in (folder, folder.parent):
+            if not text and (file := place / "parameters.yaml").is_file():
+                text = file.read_text(encoding="utf-8", errors="replace")
+        nodes = parse_map(text, "record of parameters")
+        sections = {
+            str(name): node.get("ros__parameters")
+            for name, node in nodes.items()
+            if isinstance(node, dict)
+        }
+        return {name: values for name, values in sections.items() if isinstance(values, dict)}
 
     def inactive_steps(self, topic: str) -> int:
         """Return the steps of a topic that passed while its publisher or the recorder was inactive.
@@ -170,14 +189,18 @@ class BagReader(AbstractContextManager["BagReader"]):
     def _take_in(self, item: FileContents) -> None:
         for number, channel in item.channels.items():
             schema = item.schemas.get(channel.schema_id)
-            type_name = schema.name if schema else ""
+            type_name, text, language = (
+                (schema.name, schema.data.decode("utf-8", "replace"), schema.encoding)
+                if schema
+                else ("", "", "")
+            )
             topic = self._topics.get(channel.topic)
             if topic is None:
-                text = schema.data if schema and schema.encoding == "ros2msg" else b""
                 topic = BagTopic(
                     channel.topic,
                     type_name,
-                    text.decode("utf-8", "replace"),
+                    text,
+                    language,
                     channel.message_encoding,
                     dict(channel.metadata),
                 )

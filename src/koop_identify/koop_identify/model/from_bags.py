@@ -72,7 +72,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     recordings: list[Loaded] = []
     for path in paths:
         with BagReader(path) as bag:
-            segmentation, n = find_segmentation(bag, path, training.reading)
+            segmentation, n = find_segmentation(bag, training.reading)
             if gram is None:  # what the first bag says holds for all of them
                 training = replace(training, reading=replace(training.reading, dt=segmentation.dt))
                 delays = _find_delays(bag, training, segmentation, n)
@@ -128,7 +128,7 @@ def load_bags(paths: Sequence[Path], reading: BagReading) -> tuple[Loaded, BagRe
     parts = []
     for path in paths:
         with BagReader(path) as bag:
-            segmentation, _ = find_segmentation(bag, path, reading)
+            segmentation, _ = find_segmentation(bag, reading)
             reading = replace(reading, dt=segmentation.dt)  # of all bags
             parts.append(load_recording(bag, reading, segmentation))
     if len({part.x.shape[0] for part in parts}) > 1:

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader
 from koop_core.config.parameter import ListenersConfig, NodeConfig
 from koop_core.config.parameter_file import ROS_OWN
@@ -37,23 +36,15 @@ class ParameterChange:
 
 
 def recorded_values(
-    bag: BagReader, path: Path, namespace: str, nodes: Iterable[str] = CONTROLLER
+    bag: BagReader, namespace: str, nodes: Iterable[str] = CONTROLLER
 ) -> dict[str, dict[str, Any]]:
-    """Return the recorded parameters of some nodes; a node that has none is left out.
-
-    They stand in the bag itself, or in the run's folder while the bag is not closed.
-    """
-    text = bag.custom_data().get("parameters", "")
-    for folder in (path, path.parent):
-        if not text and (folder / "parameters.yaml").is_file():
-            text = (folder / "parameters.yaml").read_text(encoding="utf-8")
-    base, content = namespace.rstrip("/"), parse_map(text, "record of parameters")
-    values: dict[str, dict[str, Any]] = {}
-    for node in nodes:
-        section = content.get(f"{base}/{node}")
-        if isinstance(section, dict) and isinstance(section.get("ros__parameters"), dict):
-            values[node] = _loop_parameters(section["ros__parameters"])
-    return values
+    """Return the recorded parameters of some nodes; a node that has none is left out."""
+    names = {node: f"{namespace.rstrip('/')}/{node}" for node in nodes}
+    return {
+        node: _loop_parameters(bag.parameters[name])
+        for node, name in names.items()
+        if name in bag.parameters
+    }
 
 
 def _loop_parameters(values: Mapping[str, Any]) -> dict[str, Any]:

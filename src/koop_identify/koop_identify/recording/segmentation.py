@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -44,7 +43,7 @@ class BagReading:
         return self.dt
 
 
-def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[Segmentation, int]:
+def find_segmentation(bag: BagReader, reading: BagReading) -> tuple[Segmentation, int]:
     """Return how to split a bag into segments, and the number of measured values.
 
     Raises
@@ -55,9 +54,9 @@ def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[
     topic = reading.measured.topic
     first = next(batches(bag, reading.measured), None)
     if first is None or first.time.size < 2:
-        raise InputError(f"{path}: fewer than two messages on {topic}")
+        raise InputError(f"{bag.path}: fewer than two messages on {topic}")
     period = _period(first)
-    recorded = recorded_values(bag, path, topic.rpartition("/")[0] or "/")
+    recorded = recorded_values(bag, topic.rpartition("/")[0] or "/")
     recorded_dt = recorded.get("koopman_lifter", {}).get("dt")
     dt = float(reading.dt or recorded_dt or _sampling_time(first, period))
     if period <= 0.0 and (first.step is None or dt <= 0.0):
@@ -66,7 +65,7 @@ def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[
             if first.stamped
             else f"messages on {topic} have no stamp and were all received at one time"
         )
-        raise InputError(f"{path}: {why}")
+        raise InputError(f"{bag.path}: {why}")
     stepped = recorded_dt == dt or abs(_step_time(first) / dt - 1.0) < READING.stepped
     way = "steps" if first.step is not None and stepped else "linear"
     counted = way == "linear" and not first.stamped

@@ -78,7 +78,7 @@ def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Si
     """
     reading = replace(reading, dt=reading.dt or dt)
     with BagReader(path) as bag:
-        segmentation, n = find_segmentation(bag, path, reading)
+        segmentation, n = find_segmentation(bag, reading)
         loaded = load_recording(bag, reading, segmentation)
     size = loaded.time.size
     return Signals(

@@ -212,7 +212,7 @@ def _read_run(run: RunSpan, parts: _Parts) -> None:
             parts.add(loop, from_seconds(seconds), [second.model_id for second in seconds])
         for loop in parts.rows.keys() - parts.channels.keys():
             with suppress(KoopError, KeyError):
-                values = recorded_values(bag, run.folder, loop or "/")
+                values = recorded_values(bag, loop or "/")
                 source = parse_source(str(values["koopman_lifter"]["measured"]))
                 parts.channels[loop] = source.names
 

@@ -120,7 +120,7 @@ def read(
         signals = read_signals(path, reading, chosen.dt if chosen else None)
         return RecordedRun(path, signals, None, None, None, chosen)
     with BagReader(path) as bag:
-        values = recorded_values(bag, path, namespace, (*NODES, "koop_guard"))
+        values = recorded_values(bag, namespace, (*NODES, "koop_guard"))
     guard = values.pop("koop_guard", {})
     commands = _commanded(guard["command"], namespace) if guard else []
     recorded = {

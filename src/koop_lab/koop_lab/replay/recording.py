@@ -170,7 +170,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         message = np.flatnonzero(rows)
         late = state.kind[message] == Arrival.LATE
         key = np.where(late, -1, state.key[message])  # no key: no answer
-        values = recorded_values(bag, path, namespace)
+        values = recorded_values(bag, namespace)
         r, model = cost.at(key, "r", np.nan), cost.at(key, "model_id", "").astype(np.str_)
         source = cost.at(key, "source", NO_SOURCE)
         changes = recorded_changes(
