@@ -32,10 +32,13 @@ class Access:
         Token that permits to operate; empty: nobody may.
     origins : collection of str
         Origins of the web pages, besides the server's own, that may connect.
+    host : str
+        Address or name that the server listens on, by which it may be called.
     """
 
     token: str = ""
     origins: Collection[str] = ()
+    host: str = ""
 
     def refuse_host(self, host: str | None) -> Refusal | None:
         """Refuse a request to a name that anybody could have pointed at this machine.
@@ -44,7 +47,7 @@ class Access:
         to 127.0.0.1 (DNS rebinding). So the host is an address, this machine, or allowed.
         """
         name = (urlsplit(f"//{host}").hostname or "") if _is_url(host) else ""
-        local = {"localhost", socket.gethostname().lower()}
+        local = {"localhost", socket.gethostname().lower(), self.host.lower()} - {""}
         allowed = {urlsplit(origin).hostname for origin in self.origins}
         if name in local | allowed or _is_address(name):
             return None

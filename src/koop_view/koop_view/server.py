@@ -37,7 +37,7 @@ class ViewServer:
     def __init__(self, source: ViewSource, config: ViewConfig, token: str) -> None:
         self._source = source
         self._config = config
-        self._access = Access(token, frozenset(config.origins))
+        self._access = Access(token, frozenset(config.origins), config.host)
         self._page = (files("koop_view") / "page" / "index.html").read_bytes()
 
     @asynccontextmanager
@@ -65,6 +65,8 @@ class ViewServer:
                 write_limit=64 * 1024,
                 logger=_silent,
             )
+        except UnicodeError:  # of what looks up names
+            raise ConfigError(f"'{self._config.host}' is not an address or a name") from None
         except OSError as error:
             where = f"{self._config.host} port {self._config.port}"
             if error.errno == errno.EADDRINUSE:

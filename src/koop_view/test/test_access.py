@@ -46,6 +46,12 @@ def test_a_name_that_anybody_could_point_here_is_refused(host, let_in):
     assert (RULES.refuse_host(host) is None) == let_in
 
 
+def test_the_name_that_it_listens_on_is_answered():
+    """``koop serve`` prints it as the page's address."""
+    assert Access(host="Rig.lab").refuse_host("rig.lab:8765") is None
+    assert Access(host="").refuse_host("") is not None
+
+
 def test_only_the_token_lets_operate():
     assert RULES.may_operate("/?token=a-token-of-24-characters")
     for path in (

@@ -166,12 +166,16 @@ def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
     assert "too slow" in reason
 
 
-def test_a_port_that_is_taken_is_an_error_in_words(port):
+@pytest.mark.parametrize(
+    ("host", "message"),
+    [("127.0.0.1", "port {} is taken"), ("a..b", "'a..b' is not an address or a name")],
+)
+def test_an_address_that_cannot_be_had_is_an_error_in_words(port, host, message):
     async def start():
-        async with ViewServer(FakeLoop(), ViewConfig(port=port), "").listen():
+        async with ViewServer(FakeLoop(), ViewConfig(host, port), "").listen():
             pass
 
-    with pytest.raises(ConfigError, match=f"port {port} is taken"):
+    with pytest.raises(ConfigError, match=message.format(port)):
         asyncio.run(start())
 
 
