@@ -17,7 +17,7 @@ from koop_loop.parameters import make, read
 
 
 def test_simulate_writes_metrics_and_a_plot(tmp_path, capsys):
-    plot = tmp_path / "run.png"
+    plot = tmp_path / "run"  # as it is named, whatever Matplotlib would add
     options = ["--duration", "150", "--plot", str(plot), "--json", "--seed", "3"]
     assert main(["simulate", *options]) == 0
     metrics = json.loads(capsys.readouterr().out)

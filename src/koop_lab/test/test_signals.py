@@ -171,6 +171,9 @@ def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
         (["--measured", "/joint:position[0]"], "has no topic /joint; it has "),
         (["--measured", JOINTS, "--dt", "0.01", "--command", "/knob:data"], "has no topic /knob"),
         (["--command", "/command:data"], "--command needs --measured"),
+        (["--dt", "nan"], "--dt nan: must be positive"),
+        (["--measured", "/joint_states:name[0]"], "field 'name[0]' holds text"),
+        (["--measured", JOINTS, "--command", "/joint_states:header.frame_id"], "holds text"),
     ],
 )
 def test_what_cannot_be_read_is_named(joints, options, message, capsys):

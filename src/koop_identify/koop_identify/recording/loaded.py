@@ -14,7 +14,7 @@ from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source, parse_source
 from koop_core.errors import InputError
 from koop_identify.recording.passes import of_knobs
-from koop_identify.recording.samples import batches
+from koop_identify.recording.samples import batches, stack_numbers
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.segments import Segmentation, Segmenter
 from koop_identify.settings import READING
@@ -130,8 +130,7 @@ def _held_at(
     if not when.size:
         return np.full((received.size, len(names)), np.nan)
     order = np.argsort(when, kind="stable")
-    numbers = np.column_stack([columns[name] for name in names]).astype(np.float64)
-    when, value = when[order], numbers[order]
+    when, value = when[order], stack_numbers(columns, names)[order]
     usual = float(np.median(np.diff(when))) if when.size > 1 else np.inf
     place = np.searchsorted(when, received, side="right") - 1
     held, age = value[np.maximum(place, 0)], received - when[np.maximum(place, 0)]

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
+from koop_bag.bag.columns import LOG_TIME, Columns, iter_tables, list_fields
 from koop_bag.bag.files import find_files
 from koop_bag.bag.reader import BagReader
 from koop_bag.mcap.stored_file import open_stored
 from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import ConfigError
+from koop_core.errors import InputError
 
 STAMP, STEP = "header.stamp", "step"
 
@@ -60,6 +61,8 @@ def batches(bag: BagReader, source: Source) -> Iterator[Batch]:
     ------
     koop_bag.errors.BagError
         If the bag has no such topic or field, or a field has another length now and then.
+    koop_core.errors.InputError
+        If a field holds text.
     """
     names = set(list_fields(bag, source.topic))
     fields = [*dict.fromkeys((*source.names, *(names & {STAMP, STEP}), LOG_TIME))]
@@ -68,13 +71,26 @@ def batches(bag: BagReader, source: Source) -> Iterator[Batch]:
         if first:
             stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros
             first = False
-        x = np.column_stack([columns[name] for name in source.names]).astype(np.float64, copy=False)
         yield Batch(
             columns[STAMP if stamped else LOG_TIME].astype(np.int64),
             columns[STEP].astype(np.int64) if STEP in names else None,
-            x,
+            stack_numbers(columns, source.names),
             stamped,
         )
+
+
+def stack_numbers(columns: Columns, names: Sequence[str]) -> NDArray[np.float64]:
+    """Return fields of a topic side by side, shape (M, n).
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If a field holds text.
+    """
+    for name in names:
+        if columns[name].dtype == object:
+            raise InputError(f"field '{name}' holds text: choose a number or an array of numbers")
+    return np.column_stack([columns[name] for name in names]).astype(np.float64, copy=False)
 
 
 def state_names(source: Source, n: int) -> tuple[str, ...]:

@@ -59,6 +59,8 @@ def reading_of(args: argparse.Namespace, default: str = "") -> BagReading | None
         for name, value in (("command", args.commanded), ("gap", args.gap)):
             if value is not None:
                 raise InputError(f"--{name} needs --measured: which fields are the state")
+        if args.dt is not None and not 0.0 < args.dt < 1e6:
+            raise InputError(f"--dt {args.dt:g}: must be positive")
         return None
     commands = (recorded_source(args.commanded),) if args.commanded else ()
     return BagReading(recorded_source(measured), commands, args.dt, args.gap)

@@ -88,7 +88,7 @@ def plot_signals(
         axis.grid(alpha=0.3)
         axis.margins(x=0.0)
     theta.set_xlabel("time [s]")
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=110, format=ending or "png")
     plt.close(figure)
 
 
