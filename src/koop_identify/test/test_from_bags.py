@@ -1,7 +1,10 @@
 """Identification from bags, against systems whose operator is known."""
 
+import struct
+
 import numpy as np
 import pytest
+from mcap.writer import Writer as McapWriter
 from rig_bags import (
     DT,
     JOINTS,
@@ -68,6 +71,27 @@ def test_dt_is_that_of_the_messages_where_nothing_else_tells_it(tmp_path):
     model = train_from_bags([bag], BagTraining(BagReading(JOINTS), degree=1, modes=3))
     assert model.dt == DT
     np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-3)
+
+
+def test_dt_is_that_of_many_messages_though_images_lie_between_them(tmp_path):
+    """A bag is read by blocks of some MB; of those here each holds one sample."""
+    times = 10**9 + 10**8 * np.arange(12)
+    times[1] -= 5 * 10**7  # the first two are closer than usual
+    with open(tmp_path / "a.mcap", "wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2")
+        number = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        pressure, camera = (
+            writer.register_channel(name, "cdr", number) for name in ("/pressure", "/camera")
+        )
+        for k, time in enumerate(times.tolist()):
+            writer.add_message(pressure, time, b"\0\1\0\0" + struct.pack("<d", k), time)
+            writer.add_message(camera, time, bytes(9_000_000), time)
+        writer.finish()
+    reading = BagReading(recorded_source("/pressure:data"))
+    loaded, known = load_bags([tmp_path / "a.mcap"], reading)
+    assert known.dt == 0.1
+    assert loaded.x[0, -1] == 11.0
 
 
 @pytest.mark.parametrize("dt", [None, DT])

@@ -52,7 +52,7 @@ def find_segmentation(bag: BagReader, reading: BagReading) -> tuple[Segmentation
         If the topic has fewer than two messages, or no time to go by.
     """
     topic = reading.measured.topic
-    first = next(batches(bag, reading.measured), None)
+    first = _first_samples(bag, reading.measured)
     if first is None or first.time.size < 2:
         raise InputError(f"{bag.path}: fewer than two messages on {topic}")
     period = _period(first)
@@ -73,6 +73,24 @@ def find_segmentation(bag: BagReader, reading: BagReading) -> tuple[Segmentation
     gap = reading.gap or (dt if way == "steps" else READING.gaps * max(usual, dt))
     segmentation = Segmentation(way, dt, gap, period if counted else 0.0)
     return segmentation, first.x.shape[1]
+
+
+def _first_samples(bag: BagReader, source: Source) -> Batch | None:
+    """Return as many batches in one as tell the period; beside images, one holds few samples."""
+    parts: list[Batch] = []
+    for batch in batches(bag, source):
+        parts.append(batch)
+        if sum(part.time.size for part in parts) >= 4 * READING.span:
+            break
+    if len(parts) < 2:
+        return parts[0] if parts else None
+    steps = [part.step for part in parts if part.step is not None]
+    return Batch(
+        np.concatenate([part.time for part in parts]),
+        np.concatenate(steps) if steps else None,
+        np.vstack([part.x for part in parts]),
+        parts[0].stamped,
+    )
 
 
 def _period(batch: Batch) -> float:
