@@ -1,6 +1,7 @@
 """Bags that lack something: other recorders, killed ones, other namespaces, a late start."""
 
 import shutil
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,25 @@ def test_why_a_recording_that_began_in_mid_run_differs_is_said(tmp_path, capsys)
     assert code == 1
     assert "first at step 700" in printed
     assert "what the filters held before the recording began" in printed
+
+
+def test_states_of_which_none_was_answered_are_refused(tmp_path, capsys):
+    with BagReader(RUN) as bag, BagWriter(tmp_path / "bag") as writer:
+        for name, numbers in {"/state": (0, 10), "/cost": (1990, 2000)}.items():
+            channel = writer.add_topic(name, load_schema(bag.topic(name).type_name))
+            for message in islice(bag.messages([name]), *numbers):
+                writer.write(channel, message.log_time, message.publish_time, message.data)
+    code, printed = replay(tmp_path, capsys)
+    assert (code, printed.count("\n")) == (2, 1)
+    assert "none of the 10 states has a recorded cost" in printed
+
+
+def test_a_single_state_is_refused(tmp_path, capsys):
+    bag = copy(tmp_path / "bag", topics=["/state"], begin=1999)
+    assert main(["bag", "metrics", str(bag)]) == 2
+    printed = "".join(capsys.readouterr())
+    assert "no state follows on another" in printed
+    assert printed.count("\n") == 1
 
 
 def test_without_recorded_costs_every_state_is_replayed(tmp_path, capsys):

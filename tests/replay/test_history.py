@@ -201,6 +201,17 @@ def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, caps
     assert "No guard was recorded." in text
 
 
+def test_the_second_in_which_a_recording_begins_is_reported(tmp_path, capsys):
+    with BagWriter(tmp_path / "bag") as writer:
+        channel = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+        for k in range(2):
+            time = BEGIN * 10**9 + 700_000_000 + k * 100_000_000
+            message = MeasuredState(step=k, x=[float(k)])
+            writer.write(channel, time, time, serialize_message(message))
+    assert main(["report", str(tmp_path)]) == 0
+    assert "0.1 s recorded in 1 run" in capsys.readouterr().out
+
+
 def test_a_loop_of_which_a_channel_more_is_measured_since_is_one_loop(tmp_path, capsys):
     write_days(tmp_path / "20260102T000000Z-mine", DAY // 2, DAY)  # two channels
     with BagWriter(tmp_path / "20260101T000000Z-mine" / "bag") as writer:

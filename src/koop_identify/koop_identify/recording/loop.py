@@ -130,7 +130,7 @@ def read_loop(
         trips = None
         if (topic := f"{base}/koop_guard/state") in present:
             trips = _take_guard(columns["state"], read_columns(reader, topic, GUARD))
-    return _align(columns, inactive, trips, dt or _measured_dt(columns["state"]), names)
+    return _align(columns, inactive, trips, dt or _measured_dt(bag, columns["state"]), names)
 
 
 def _take_guard(state: Columns, guard: Columns) -> Trips | None:
@@ -233,9 +233,11 @@ def _begins(step: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.diff(step, prepend=step[0] - 2) != 1
 
 
-def _measured_dt(state: Columns) -> float:
+def _measured_dt(bag: Path, state: Columns) -> float:
     """Return the usual time between two steps as stamped, else as received [s]."""
     stamped = (state[STAMP] > 0).sum() > 1
     times = state[STAMP if stamped else "log_time"].astype(np.int64)
     apart = np.diff(state["step"].astype(np.int64))
+    if not (apart > 0).any():
+        raise InputError(f"{bag}: no state follows on another, which would tell dt: give --dt")
     return float(np.median(np.diff(times)[apart > 0] / apart[apart > 0])) * 1e-9

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -152,9 +153,9 @@ def read_history(paths: Sequence[Path], since: float | None = None) -> list[Hist
     if not runs:
         raise InputError(f"{paths[0]}: holds no recording with a message in it")
     end = max(run.end for run in runs)
-    start = min(run.begin for run in runs) if since is None else end - since
+    start = math.floor(min(run.begin for run in runs) if since is None else end - since)
     runs = [replace(run, begin=max(run.begin, start)) for run in runs if run.end > start]
-    parts = _Parts(SHORT if end - start < LONG else FINE, int(start * 1e9))
+    parts = _Parts(SHORT if end - start < LONG else FINE, start * SECOND)
     for run in runs:
         _read_run(run, parts)
     if not parts.rows:

@@ -143,7 +143,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
     koop_bag.errors.BagError
         If the bag cannot be read.
     koop_core.errors.InputError
-        If it holds no states of a loop.
+        If it holds no states of a loop that it answered.
     """
     base = namespace.rstrip("/")
     topic = f"{base}/state"
@@ -168,6 +168,8 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         if cost.key.size:
             rows &= ~lacking
         message = np.flatnonzero(rows)
+        if not message.size:
+            raise InputError(f"{path}: none of the {state.step.size} states has a recorded cost")
         late = state.kind[message] == Arrival.LATE
         key = np.where(late, -1, state.key[message])  # no key: no answer
         values = recorded_values(bag, namespace)
