@@ -19,6 +19,11 @@ export function shortName(name: string): string {
   return name.slice(name.lastIndexOf("/") + 1);
 }
 
+/** The values of knobs in a report, which has those of several in brackets. */
+export function readKnobs(text = ""): number[] {
+  return text ? text.replace(/[[\]]/g, "").split(",").map(Number) : [];
+}
+
 /** Theta of each knob, with its limits where they are known. */
 export function formatKnobs(
   theta: readonly number[] = [],

@@ -1,7 +1,7 @@
 // What the operator does to the loop: requested, confirmed where it moves the rig, answered.
 
 import { byId, make, onClick, setOptions, setText } from "./dom";
-import { clock, formatKnobs, short } from "./format";
+import { clock, formatKnobs, readKnobs, short } from "./format";
 import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
 
@@ -85,7 +85,7 @@ export class Operator {
     byId("guard").hidden = !report;
     if (!report) return;
     const isTripped = report.values["status"] === "tripped";
-    const where = isTripped ? `; θ is ${short(Number(report.values["theta"]))}` : "";
+    const where = isTripped ? `; θ is ${formatKnobs(readKnobs(report.values["theta"]))}` : "";
     setText(byId("guard-text"), `Guard: ${report.message}${where}`);
     this.allow("rearm", "guard", "rearm", isTripped);
     this.allow("trip", "guard", "trip", !isTripped);
