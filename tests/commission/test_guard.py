@@ -34,12 +34,15 @@ from koop_core.config import parameter_file
 from koop_core.whole_file import read_json
 from koop_guard import note
 from koop_guard.config import SAFETY
+from koop_guard.guard import Cause, Trip
 from koop_guard.node.twin import Twin
 from koop_hil import installed
 from koop_lab.recorded.report import read
 from koop_loop import parameters
 from koop_loop.parameters import changed
+from koop_node.node.executor import Executor
 from koop_node.node.qos import KEPT
+from koop_node.node.rclpy_internals import WithoutEvents
 from koop_node.process.joining import FAST_DDS
 from koop_tune.result.parameter_text import KNOWN
 from koop_tune.rig import rig_file
@@ -248,25 +251,24 @@ def test_whatever_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, probe,
     assert (theta == SAFE).any()
 
 
-def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe, states):
-    # at this dt a silence is of 4 s: a busy machine does not trip the guard
-    options = {"measured": "state:x[0]", "command": "/knob:data", "theta_safe": 1.0, "dt": 0.2,
-               "theta_start": 0.5, "rearms": 1}  # fmt: skip
-    node, due = probe.node, [0.0]
-    sources = [node.create_publisher(*of, 10) for of in ((MeasuredState, "state"),
-                                                         (ControlInput, "theta"))]  # fmt: skip
-    resets = []
-    node.create_service(Trigger, "/probe/reset", lambda _, answer: resets.append(0) or answer)
-    knob, step = probe.collect(Float64, "/knob"), itertools.count(1)
-    start("koop_guard", **options)
+# at this dt a silence is of 4 s: a busy machine does not trip the guard
+SLOWEST = {"measured": "state:x[0]", "command": "/knob:data", "theta_safe": 1.0, "dt": 0.2,
+           "theta_start": 0.5}  # fmt: skip
+
+
+def be_rig_and_controller(probe):
+    """Return the rig's publisher, and what waits for a condition and is both meanwhile."""
+    due, step = [0.0], itertools.count(1)
+    kinds = {"state": MeasuredState, "theta": ControlInput}
+    sources = [probe.node.create_publisher(kind, topic, 10) for topic, kind in kinds.items()]
 
     def until(condition, what, age=0.0):
-        """Be rig and controller, whose answers are to states of an age [s], until it is so."""
+        """Answer states of an age [s]."""
 
         def both():
             if time.monotonic() < due[0]:
                 return condition()
-            due[0] = time.monotonic() + options["dt"]
+            due[0] = time.monotonic() + SLOWEST["dt"]
             state, answer = MeasuredState(step=next(step), x=[random()]), ControlInput(theta=[0.8])
             now, answer.step = time.monotonic(), state.step
             for message, second in ((state, now), (answer, now - age)):
@@ -278,9 +280,18 @@ def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe
 
         probe.spin_until(both, what)
 
+    return sources[0], until
+
+
+def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe, states):
+    state, until = be_rig_and_controller(probe)
+    resets = []
+    probe.node.create_service(Trigger, "/probe/reset", lambda _, answer: resets.append(0) or answer)
+    knob = probe.collect(Float64, "/knob")
+    start("koop_guard", **SLOWEST, rearms=1)
     for rearmed in range(2):
         until(lambda: knob and knob[-1].data == 0.8, "the controller to be followed")
-        sources[0].publish(MeasuredState(step=2**64 - 1, x=[np.nan]))  # no run's, and unheard
+        state.publish(MeasuredState(step=2**64 - 1, x=[np.nan]))  # no run's, and unheard
         assert bool(resets) == bool(rearmed)  # twice where the cause came back meanwhile
         until(lambda: states[-1].status == GuardState.TRIPPED, "a trip", 5.0)
         assert states[-1].cause == "controller too old"
@@ -293,6 +304,38 @@ def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe
             # no sooner than 2.5 s without the cause and the pause of 10 s
             assert time.monotonic() - since >= 12.4
     assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
+
+
+def test_a_lost_answer_delays_a_rearm_and_the_trip_is_over_for_good(start, probe, states, tmp_path):
+    """Failed before: the guard waited for the answer, and an activation brought the trip back."""
+    left, resets = tmp_path / "note", []
+    trip = Trip(Cause.BEYOND, "x is beyond its limit", 0.0, (0.5,), ())
+    note.leave(left, note.Note((0.5,), "/knob:data", (), trip, 0))
+    _, until = be_rig_and_controller(probe)
+    knob, controller = probe.collect(Float64, "/knob"), Executor()
+    node = WithoutEvents("other", context=probe.context)
+    reset = node.create_service(Trigger, "/probe/reset", lambda _, answer: answer)
+    send = reset.send_response
+    reset.send_response = lambda *answer: resets.append(0) or (len(resets) > 1 and send(*answer))
+    controller.add_node(node)
+    try:
+        start("koop_guard", **SLOWEST, note=left)
+        until(lambda: states and states[-1].status == GuardState.TRIPPED, "the trip")
+        assert states[-1].reason == trip.reason
+        until(lambda: not states[-1].rearm_refused, "theta_safe")
+        assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
+        until(lambda: controller.run(0.0) or states[-1].status == GuardState.FOLLOWING, "a rearm")
+        assert len(resets) > 1
+        until(lambda: knob[-1].data == 0.8, "the controller to be followed")
+        for transition in ("deactivate", "activate"):
+            assert probe.change_state("/koop_guard", transition)
+        assert knob[-1].data == 1.0
+        states.clear()
+        until(lambda: knob[-1].data == 0.8, "the controller to be followed again")
+        assert not any(state.status == GuardState.TRIPPED for state in states)
+    finally:
+        controller.shutdown()
+        node.destroy_node()
 
 
 def assert_replays(koop, run):

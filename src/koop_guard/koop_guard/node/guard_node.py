@@ -23,6 +23,7 @@ from koop_guard.node.alarm import Alarm
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
 from koop_guard.note import Keeper, Note, find_theta, read
+from koop_node.client.question import Question
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.graph import Listeners, full_name, publishers_of, subscribers_of
@@ -64,7 +65,7 @@ class GuardRun(Run):
         self._order: tuple[Any, ...] = ()  # what the twin may have to command
         self._ids: list[str] = []
         self._controller: Any = None  # its ~/reset
-        self._rearming = False
+        self._rearming: tuple[Question, bool] | None = None  # of the controller; by hand?
         self._return: Return | None = None
         self._latched: Trip | None = None  # what the guard before this one has left
         self._epoch = time.time() - time.monotonic()
@@ -163,6 +164,7 @@ class GuardRun(Run):
         if self._controller is not None:
             self._node.destroy_client(self._controller)
         self._twin = self._command = self._controller = self._answer = self._keeper = None
+        self._latched = self._rearming = None  # the note knows, the next time
         self._to_target, self._target, self._target_heard = False, (), math.inf
 
     def _holds_at_end(self, number: int) -> bool:
@@ -297,7 +299,9 @@ class GuardRun(Run):
             self._say(now)
         elif self._twin is not None:
             self._twin.shared.write(guard.theta, now, self._commands, self._last)
-        if guard.may_rearm_itself(now) and not self._rearming:
+        if self._rearming is not None:
+            self._finish_rearm(*self._rearming)
+        elif guard.may_rearm_itself(now):
             self._reset_controller(by_hand=False)
         if self._news() != self._said:
             self._announce()
@@ -357,6 +361,7 @@ class GuardRun(Run):
             if self._controller.srv_name == service:
                 return
             self._node.destroy_client(self._controller)
+            self._rearming = None
         self._controller = self._node.create_client(Trigger, service)
 
     def _advance(self, now: float) -> tuple[float, ...]:
@@ -429,17 +434,19 @@ class GuardRun(Run):
         """Let the controller begin again, then follow it; return why that cannot be."""
         if self._controller is None or not self._controller.service_is_ready():
             return "there is no controller that can be reset"
-        self._rearming = True
-
-        def done(future: Any) -> None:
-            self._rearming = False
-            now = time.monotonic()
-            if not self._guard.refusal(now):
-                self._guard.rearm(now, by_hand)
-                self._announce()
-
-        self._controller.call_async(Trigger.Request()).add_done_callback(done)
+        self._rearming = Question(self._controller, Trigger.Request()), by_hand
         return ""
+
+    def _finish_rearm(self, reset: Question, by_hand: bool) -> None:
+        """Follow the controller once it has answered that it begins again.
+
+        Not if the cause of the trip is back by then, or the controller has gone.
+        """
+        refusal, answered = self._guard.refusal(time.monotonic()), reset.answer() is not None
+        if answered and not refusal:
+            self._guard.rearm(time.monotonic(), by_hand)
+        if answered or refusal or not self._controller.service_is_ready():
+            self._rearming = None
 
 
 def _asked_to_end() -> int:
