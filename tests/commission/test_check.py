@@ -24,7 +24,7 @@ from koop_core.stream.report import GHOST
 pytestmark = pytest.mark.ros
 
 
-def rows_of(rig, moves=True, ask=lambda question: False, **settings):
+def rows_of(rig, moves=True, ask=lambda *question: False, **settings):
     settings = CheckSettings(**{"listen": 1.0, **settings})
     for _ in range(3):
         rows = list(check_rig(rig, moves, rng=random.Random(0), settings=settings, ask=ask))
@@ -70,12 +70,14 @@ def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig, capfd):
 
 
 @pytest.mark.parametrize("time_out", [2.0, None])
-def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, time_out):
+def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, probe, time_out):
     fast_rig.time_out = time_out
-    asked = []
+    asked, signs = [], probe.collect(Float64MultiArray, "/koop_guard/target")
 
-    def ask(question):
+    def ask(question, wait_until):
         asked.append(question)
+        count = len(signs)  # of life, which the guard waits for
+        wait_until(lambda: probe.executor.spin_once(timeout_sec=0.0) or len(signs) > count + 1)
         return True
 
     silence = 6.0 if time_out is None else 12.0  # [s]
@@ -102,7 +104,7 @@ def test_theta_returns_though_the_test_of_the_time_out_is_killed(fast_rig, tmp_p
         "from koop_commission.fitness.settings import CheckSettings\n"
         "from koop_commission.stages.check import check_rig\n"
         "settings = CheckSettings(listen=1.0, silence=8.0)\n"
-        "list(check_rig(RIG, settings=settings, ask=lambda question: True))\n"
+        "list(check_rig(RIG, settings=settings, ask=lambda *question: True))\n"
     )
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "PYTHONPATH": path}

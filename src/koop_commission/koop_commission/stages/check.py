@@ -6,6 +6,7 @@ import argparse
 import itertools
 import math
 import random
+import select
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.plan import Plan
@@ -73,11 +75,15 @@ def register(commands: Any) -> None:
     parser.set_defaults(func=main)
 
 
-def ask_yes(question: str) -> bool:
-    """Return whether the user says yes; nobody is asked without a terminal."""
+def ask_yes(question: str, wait_until: Callable[[Callable[[], object]], object]) -> bool:
+    """Return whether the user says yes; nobody is asked without a terminal.
+
+    ``wait_until(condition)`` looks after the rig until there is an answer.
+    """
     if not sys.stdin.isatty():
         return False
     print(f"{question} [y/N] ", end="", flush=True)
+    wait_until(lambda: select.select([sys.stdin], [], [], 0.0)[0])
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
@@ -97,7 +103,7 @@ def print_findings(findings: Iterable[Finding]) -> int:
     """Print findings as they come, and return how many are BAD."""
     bad = 0
     for finding in findings:
-        print(finding, flush=True)
+        tqdm.write(str(finding))
         bad += finding.level == BAD
     return bad
 
@@ -108,13 +114,13 @@ def check_rig(
     note: Path | None = None,
     rng: random.Random | None = None,
     settings: CheckSettings = DEFAULTS,
-    ask: Callable[[str], bool] = lambda question: False,
+    ask: Callable[[str, Any], bool] = lambda question, wait_until: False,
 ) -> Iterator[Finding]:
     """Yield the findings of a live rig.
 
     ``note`` is the file that notes where theta was left, ``rng`` draws the order in which theta is
-    moved, ``settings`` say how long the rig is listened to and may be silent; ``ask`` asks whether
-    to do what may harm, and returns the answer.
+    moved, ``settings`` say how long the rig is listened to and may be silent; ``ask`` is as
+    :func:`ask_yes`.
     """
     state, command = rig.measured_source.topic, rig.command_topics
     with Client("_koop_check") as client:
@@ -151,7 +157,8 @@ def check_rig(
                         moved, settle, blocks = _move_theta(rig, session, period, draw)
                         yield from moved
                         fit = all(finding.level != BAD for finding in moved)
-                        if fit and ask(describe_test(rig, settings)):
+                        session.hide()  # not over the question
+                        if fit and ask(describe_test(rig, settings), session.wait_until):
                             yield _test_time_out(rig, session, settle, blocks, settings)
                         elif fit:
                             yield Finding(
@@ -160,7 +167,7 @@ def check_rig(
                                 "of the rig was not tested; koop check, in a terminal, offers to",
                             )
         except LiveError as error:
-            yield Finding(BAD, "theta", f"{error}: theta returns to {rig.spell('theta_safe')}")
+            yield Finding(BAD, "theta", str(error))
 
 
 def _listen(listener: Listener, rig: RigFile, settings: CheckSettings) -> Samples:
@@ -216,10 +223,9 @@ def _move_knob(
     seconds = way + (settle + blocks.windows.length) * rig.dt
     counts, name = [count for count, _ in stages], rig.knob_names[knob]
     most = spell_time(sum(counts) * seconds, rig.pace)
-    print(
+    tqdm.write(
         f"      {again}moving {name} between {theta[knob]:.4g} and {other[knob]:.4g}, at most "
         f"{most}; Ctrl-C ends it, theta returns to {rig.spell('theta_safe')}",
-        flush=True,
     )
     features: list[NDArray[np.float64]] = []
     moved: list[bool] = []

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from tqdm import tqdm
+
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_bringup.plan import Plan, plan
@@ -94,10 +96,9 @@ class ClosedLoop:
         session.still = aim.amplitude.windows.length
         session.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, session.check)
         quiet = self.settling + rest * dt
-        print(
+        tqdm.write(
             f"theta = {spell(start)}, the loop open: {spell_time(quiet, self.rig.pace)} until the "
             "rig has settled there and its amplitude is known",
-            flush=True,
         )
         session.go(start)
         session.wait_for_states(math.ceil(self.settling / dt), "settling")
@@ -110,7 +111,7 @@ class ClosedLoop:
         closed, first = states.count, answers.count
         seconds, how = aim.duration, "the loop is closed"
         while True:
-            print(f"{how}: {spell_time(seconds, self.rig.pace)} in all", flush=True)
+            tqdm.write(f"{how}: {spell_time(seconds, self.rig.pace)} in all")
             self._wait(session, closed, seconds)
             loop = states.samples(closed)
             theta = answers.samples(first).x[:, :-1]
@@ -123,10 +124,9 @@ class ClosedLoop:
             # an adaptive law arrives with a large step and takes its time to make it small
             seconds = min(aim.settings.longer * seconds, aim.longest)
             how = f"not yet, {lacks[0]}: the loop stays closed"
-        print(
+        tqdm.write(
             f"theta is held at {spell(measured.theta)}, where the loop ended: "
             f"{spell_time(aim.time + rest * dt, self.rig.pace)} until it is known what is left",
-            flush=True,
         )
         session.go(measured.theta)
         session.wait_for_states(math.ceil(aim.time / dt), "settling")
@@ -152,7 +152,7 @@ class ClosedLoop:
                 level = math.exp(mean_level(squares, amplitude.floor)[0])
                 theta = spell(session.theta.value)
                 at = (due - closed) * dt
-                print(f"{at:6.0f} s  theta {theta:<9} amplitude {level:.3g}", flush=True)
+                tqdm.write(f"{at:6.0f} s  theta {theta:<9} amplitude {level:.3g}")
 
 
 def find_broken(margins: Samples, loop: Samples) -> float:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
@@ -158,7 +159,7 @@ class Excitation:
         """Move theta until the map is known or the time is over."""
         progress_file.save(self._state, self._rig, self._folder)
         if self._state.done:
-            print(f"{len(self._state.done)} holds were done before", flush=True)
+            tqdm.write(f"{len(self._state.done)} holds were done before")
         self._listen()
         move = self._design.next()
         self._forecast()
@@ -193,7 +194,7 @@ class Excitation:
     def _listen(self) -> None:
         """Choose the first windows from the oscillation before theta moves."""
         dt, theta = self._rig.dt, format_knobs(self._session.theta.value, ".4g")
-        print(f"listening before theta moves, at theta = {theta}", flush=True)
+        tqdm.write(f"listening before theta moves, at theta = {theta}")
         while self._design.listens(x := self._listener.samples(self._first).x):
             self._session.wait_for_states(math.ceil(0.2 * DESIGN.shortest / dt), "listening")
         try:
@@ -202,7 +203,7 @@ class Excitation:
             raise LiveError(str(error)) from None
         # a channel's own noise moves its line by some thousandths
         span = " to ".join(dict.fromkeys(f"{period:.2g}" for period in (shortest, longest)))
-        print(f"periods of {span} s; which of them react shows as theta moves", flush=True)
+        tqdm.write(f"periods of {span} s; which of them react shows as theta moves")
 
     def _forecast(self) -> None:
         """Say how long it takes at least, before theta moves.
@@ -228,17 +229,15 @@ class Excitation:
         if whole <= left:
             needed = f"about {round_up(whole):g} s if what was heard is what it moves, "
         else:
-            print(
+            tqdm.write(
                 f"time = {rig.time:g} in the rig file is too short for the whole map: "
                 f"{self._state.longer}, now or when it is over",
-                flush=True,
             )
-        print(
+        tqdm.write(
             f"theta goes {first * (self._design.left > 0)}to where it tells most about the best "
             f"value: {needed}at most {spell_time(left, rig.pace)}; "
             f"Ctrl-C ends it, theta returns to {rig.spell('theta_safe')} within {back:.2g} s here\n"
             "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
-            flush=True,
         )
 
     def _hold(self, move: KnobsMove) -> bool:
@@ -272,23 +271,22 @@ class Excitation:
         at = f"{self._elapsed:6.0f} s  theta {theta:<9} held "
         if not any((u == move.u).all() for _, u in held):
             seconds = design.windows.seconds
-            print(f"{at}too short for windows of {seconds:.3g} s: again later", flush=True)
+            tqdm.write(f"{at}too short for windows of {seconds:.3g} s: again later")
             return
         hold, amplitude = held[-1][0], design.amplitude
         said = f"{at}{hold.size * rig.dt:4.0f} s  amplitude "
         if amplitude is None:
-            print(f"{said}unknown: nothing reacts yet  ({move.why})", flush=True)
+            tqdm.write(f"{said}unknown: nothing reacts yet  ({move.why})")
             return
         *before, level = design.levels()
         if before and abs(before[-1].mean - self._said) > DESIGN.redefined + before[-1].error:
-            print(
+            tqdm.write(
                 f"from here the amplitude is that of {amplitude.name(rig.names)}; by it the hold "
                 f"before has {math.exp(before[-1].mean):.3g}",
-                flush=True,
             )
         self._said = level.mean
         doubt = f"{100.0 * level.error:.2g} %" if level.error < 1.0 else "unknown"
-        print(f"{said}{math.exp(level.mean):<7.3g} +- {doubt:<6}  ({move.why})", flush=True)
+        tqdm.write(f"{said}{math.exp(level.mean):<7.3g} +- {doubt:<6}  ({move.why})")
 
     def _show(self) -> None:
         holds = f"{len(self._design.held)} holds, {self._design.left} or more to go"

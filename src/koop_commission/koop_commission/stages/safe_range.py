@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from tqdm import tqdm
 
 from koop_commission.stages.session import Session
 from koop_core.config.constraint import Constraint
@@ -25,10 +26,9 @@ def find_safe_range(rig: RigFile, constraint: Constraint, session: Session) -> S
     window = math.ceil(constraint.window / rig.dt)
     margins = Margins(session, window)
     search = SafeRangeSearch(rig)
-    print(
+    tqdm.write(
         f"looking from theta_safe = {rig.theta_safe:g} on how far the constraint lets theta go: "
         f"{rig.constraint}",
-        flush=True,
     )
     kept = rig.theta_safe
     while (theta := search.next()) is not None:
@@ -37,7 +37,7 @@ def find_safe_range(rig: RigFile, constraint: Constraint, session: Session) -> S
         session.go([theta])
         margin = margins.hold()
         search.take(theta, margin)
-        print(f"theta {theta:<9.4g} margin {margin:.2g}", flush=True)
+        tqdm.write(f"theta {theta:<9.4g} margin {margin:.2g}")
         if margin >= 0.0:
             kept = theta
             continue
@@ -49,7 +49,7 @@ def find_safe_range(rig: RigFile, constraint: Constraint, session: Session) -> S
     session.go([rig.theta_safe])
     if safe.low >= safe.high:
         raise LiveError(f"the constraint {rig.constraint} is kept at theta_safe alone")
-    print(describe(safe, rig), flush=True)
+    tqdm.write(describe(safe, rig))
     return safe
 
 

@@ -74,7 +74,7 @@ class Session:
         self.show: Callable[[], object] = lambda: None
         self._phase = "moving theta"
         self._rig, self._nodes = rig, nodes
-        self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
+        self._bar = tqdm(desc=self._phase, bar_format=BAR, leave=False, disable=None, total=1.0)
         self._checked = self._looked = 0.0
 
     @contextmanager
@@ -92,7 +92,11 @@ class Session:
                 lambda: self.theta.arrived, START_TIMEOUT,
                 f"the guard (see {self._nodes.folder}/logs)", self.check,
             )  # fmt: skip
-            yield
+            try:
+                yield
+            except LiveError as error:
+                where = f"theta was returned to theta_safe = {self._rig.spell('theta_safe')}"
+                raise LiveError(f"{error}. {where}") from error
         finally:
             with uninterrupted():
                 self._bar.close()
@@ -159,6 +163,11 @@ class Session:
         self.refuse_dead()
         self.show()
 
+    def hide(self) -> None:
+        """Show no progress until the next phase."""
+        self.show = lambda: None
+        self._bar.clear()
+
     def draw(self, phase: str, elapsed: float, total: float, more: str = "") -> None:
         """Draw the progress of a phase, in seconds."""
         self._phase = f"{phase}, {elapsed:.0f} of {total:.0f} s"
@@ -214,11 +223,7 @@ def open_session(rig: RigFile, nodes: LiveNodes, note: Path | None = None) -> It
                 session.check_nodes,
             )  # fmt: skip
             with session.command_theta():
-                try:
-                    yield session
-                except LiveError as error:
-                    where = f"theta was returned to theta_safe = {rig.spell('theta_safe')}"
-                    raise LiveError(f"{error}. {where}") from error
+                yield session
 
 
 @contextmanager
