@@ -11,14 +11,12 @@ from typing import Any
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent))  # for browser.py and waiting.py
+
+from waiting import TIMEOUT
+
 from koop_bringup.live.process import NodeProcess
 from koop_node.client.question import Question
-
-sys.path.insert(0, str(Path(__file__).parent))  # for browser.py
-
-TIMEOUT = (
-    60.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
-)
 
 
 class Probe:

@@ -5,20 +5,18 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 from koop_msgs.msg import MeasuredState
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from waiting import TIMEOUT, wait
 
 from koop_bag.bag.reader import BagReader
 from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import main
 
 pytestmark = pytest.mark.ros
-
-TIMEOUT = 60.0  # [s] to start four processes on a busy machine
 
 
 def demo(folder, *arguments, stdout=subprocess.PIPE):
@@ -86,14 +84,6 @@ def announced(folder):
     return actual
 
 
-def wait_for(condition, process, what):
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert process.poll() is None, process.stdout.read()
-        assert time.monotonic() < deadline, f"{what}: timed out"
-        time.sleep(0.05)
-
-
 def begun(folder):
     """Return whether a recording holds more than a second."""
     bag = folder / "bag" / "bag_0.mcap"
@@ -105,7 +95,7 @@ def test_who_comes_second_starts_nothing_and_a_killed_demo_leaves_nothing(tmp_pa
     first, second = tmp_path / "first", tmp_path / "second"
     with open(tmp_path / "printed", "w") as printed:
         process = demo(first, "--pace", "realtime", "--duration", "600", stdout=printed)
-    wait_for(lambda: begun(first), process, "the recording")
+    wait(lambda: begun(first), "the recording", process)
     assert main(["demo", "--out", str(second)]) == 2
     refused = capsys.readouterr().err
     assert "another loop runs on ROS domain" in refused
@@ -113,13 +103,10 @@ def test_who_comes_second_starts_nothing_and_a_killed_demo_leaves_nothing(tmp_pa
     assert not second.exists()
     probe.node.create_publisher(MeasuredState, "state", 10)  # nodes that were started by hand
     text = tmp_path / "printed"
-    wait_for(lambda: "note: another loop has joined" in text.read_text(), process, "the note")
+    wait(lambda: "note: another loop has joined" in text.read_text(), "the note", process)
     process.kill()
     process.wait()
-    deadline = time.monotonic() + TIMEOUT
-    while processes_of(first):
-        assert time.monotonic() < deadline, processes_of(first)
-        time.sleep(0.05)
+    wait(lambda: not processes_of(first), "all processes to end")
     assert_whole(first)
 
 
@@ -139,7 +126,7 @@ def assert_whole(folder):
 def test_a_demo_that_is_stopped_leaves_a_whole_bag_and_no_process(tmp_path, number):
     folder = tmp_path / "run"
     process = demo(folder, "--pace", "realtime", "--duration", "600")
-    wait_for(lambda: begun(folder), process, "the recording")
+    wait(lambda: begun(folder), "the recording", process)
     process.send_signal(number)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 130

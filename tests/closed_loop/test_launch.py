@@ -5,7 +5,6 @@ import signal
 import struct
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,9 +18,9 @@ pytest.importorskip("launch_ros", reason="launch is not on PyPI")
 sys.path.insert(0, str(Path(__file__).parents[1] / "commission"))
 
 from commission_rig import DT, RIG, FastRig
+from waiting import TIMEOUT, wait
 
 FILE = Path(__file__).parents[2] / "src" / "koop_bringup" / "launch" / "closed_loop.launch.py"
-TIMEOUT = 60.0  # [s] to start four processes on a busy machine
 RUN = """
 import sys
 from ros2launch.api import launch_a_launch_file
@@ -67,15 +66,6 @@ def is_running(pid):
             return file.read().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def wait_for(condition, process):
-    deadline = time.monotonic() + TIMEOUT
-    while not (actual := condition()):
-        assert process.poll() is None, process.stdout.read()
-        assert time.monotonic() < deadline, "timed out"
-        time.sleep(0.05)
-    return actual
 
 
 def test_a_bad_argument_starts_no_node(launch):
@@ -126,7 +116,7 @@ def test_the_end_of_a_node_ends_the_launch_with_its_reason(
     nodes_of, launch, executable, name, composed, count
 ):
     process = launch("record:=true", f"composed:={composed}")
-    nodes = wait_for(lambda: len(actual := nodes_of(process)) == count and actual, process)
+    nodes = wait(lambda: len(actual := nodes_of(process)) == count and actual, "nodes", process)
     os.kill(nodes[executable], signal.SIGKILL)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1
@@ -136,14 +126,11 @@ def test_the_end_of_a_node_ends_the_launch_with_its_reason(
 def test_the_nodes_end_with_a_launch_that_is_killed(nodes_of, launch, tmp_path):
     process = launch("record:=true", f"output:={tmp_path / 'run'}")
     bag = tmp_path / "run" / "bag" / "bag_0.mcap"
-    wait_for(lambda: bag.is_file() and bag.stat().st_size > 50_000, process)
+    wait(lambda: bag.is_file() and bag.stat().st_size > 50_000, "the bag", process)
     nodes = nodes_of(process)
     assert len(nodes) == 4
     process.kill()
-    deadline = time.monotonic() + TIMEOUT
-    while running := [name for name, pid in nodes.items() if is_running(pid)]:
-        assert time.monotonic() < deadline, running
-        time.sleep(0.05)
+    wait(lambda: not any(map(is_running, nodes.values())), "the nodes to end")
     with BagReader(bag.parent) as reader:
         assert reader.complete
 
@@ -151,7 +138,8 @@ def test_the_nodes_end_with_a_launch_that_is_killed(nodes_of, launch, tmp_path):
 @pytest.mark.parametrize("count", range(5))
 def test_ctrl_c_while_the_nodes_start_is_an_orderly_end(nodes_of, launch, tmp_path, count):
     process = launch("record:=true")
-    wait_for(lambda: (tmp_path / "log").is_dir() and len(nodes_of(process)) >= count, process)
+    started = lambda: (tmp_path / "log").is_dir() and len(nodes_of(process)) >= count  # noqa: E731
+    wait(started, "nodes", process)
     press_ctrl_c(process)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert "Traceback" not in printed
@@ -160,11 +148,11 @@ def test_ctrl_c_while_the_nodes_start_is_an_orderly_end(nodes_of, launch, tmp_pa
 
 def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, launch, tmp_path):
     process = launch("plant:=false", "record:=true")
-    nodes = wait_for(lambda: len(actual := nodes_of(process)) == 3 and actual, process)
+    nodes = wait(lambda: len(actual := nodes_of(process)) == 3 and actual, "nodes", process)
     os.kill(nodes["recorder"], signal.SIGKILL)
     text = "recorder was killed by signal 9: the loop goes on without it"
     log = tmp_path / "log" / "latest" / "launch.log"
-    wait_for(lambda: text in log.read_text(), process)
+    wait(lambda: text in log.read_text(), text, process)
     press_ctrl_c(process)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1
@@ -186,7 +174,7 @@ def test_a_recording_holds_how_theta_returned_when_the_guard_was_killed(nodes_of
     try:
         out = f"output:={tmp_path / 'run'}"
         process = launch(f"params:={tmp_path / 'loop.yaml'}", "record:=true", out)
-        wait_for(lambda: rig.theta < 0.6, process)
+        wait(lambda: rig.theta < 0.6, "theta to move", process)
         os.kill(nodes_of(process)["guard"], signal.SIGKILL)
         printed, _ = process.communicate(timeout=TIMEOUT)
     finally:

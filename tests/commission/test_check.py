@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from commission_rig import RIG
 from std_msgs.msg import Float64, Float64MultiArray
-from test_excite import TIMEOUT, wait
+from waiting import TIMEOUT, wait
 
 from koop_commission.fitness.fitness import BAD, NOTE
 from koop_commission.fitness.settings import CheckSettings

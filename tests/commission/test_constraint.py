@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commission_rig import RIG
-from test_excite import start_until, wait
+from test_excite import start_until
 from test_guard import LONG, LOOP, assert_replays
+from waiting import wait
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from commission_rig import RIG, TYPES, FastRig
 from std_msgs.msg import Float64
+from waiting import TIMEOUT, wait
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
@@ -29,19 +30,9 @@ from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
 
 pytestmark = pytest.mark.ros
-TIMEOUT = 60.0
 RESUMED = 3  # times that a command may need on a busy machine
 LATE = 0.4  # [s] that a command may come; a jump home would be twice as far as this allows
 SLOW = replace(RIG, theta_rate=2.0)
-
-
-def wait(condition, what, process=None, seconds=TIMEOUT):
-    deadline = time.monotonic() + seconds
-    while not (result := condition()):
-        assert time.monotonic() < deadline, what
-        assert process is None or process.poll() is None, process.communicate()[1]
-        time.sleep(0.02)
-    return result
 
 
 def start_until(condition, koop, *words):

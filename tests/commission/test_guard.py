@@ -26,7 +26,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
-from test_excite import wait
+from waiting import wait
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader

@@ -5,7 +5,8 @@ import signal
 import numpy as np
 import pytest
 from commission_rig import PAPER, PLANT, PaperRig
-from test_excite import RESUMED, wait
+from test_excite import RESUMED
+from waiting import wait
 
 from koop_tune.excitation import progress
 from koop_tune.rig import rig_file

@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commission_rig import BEST, DT, RIG
-from test_excite import RESUMED, TIMEOUT, assert_walked, start_until, wait, whole
+from test_excite import RESUMED, assert_walked, start_until, whole
+from waiting import TIMEOUT, wait
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader

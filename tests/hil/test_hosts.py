@@ -4,13 +4,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from waiting import wait
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
@@ -20,7 +20,6 @@ from koop_hil.hosts import HostsError, entrance
 from koop_hil.run import run
 from koop_hil.scenario import find, read
 
-TIMEOUT = 60.0  # [s] for anything on a busy machine
 CUT = 8.0  # [s] of simulated time in the scenario
 
 
@@ -85,23 +84,16 @@ def test_nothing_stays_behind_however_a_run_ends(two_hosts, tmp_path, number):
     environment = {**os.environ, **dict([mark.split("=")])}
     koop = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
     log = tmp_path / "out" / "two-hosts" / "logs" / "plant.log"
-    wait_until(lambda: log.is_file(), "the plant to start")
+    wait(lambda: log.is_file(), "the plant to start")
 
     def networks():
         with suppress(FileNotFoundError):  # ended meanwhile
             return {os.readlink(folder / "ns" / "net") for folder in processes_with(mark)}
 
-    wait_until(lambda: len(networks() or ()) == 4, "two hosts, their link and this machine")
+    wait(lambda: len(networks() or ()) == 4, "two hosts, their link and this machine")
     koop.send_signal(number)
     koop.wait()
-    wait_until(lambda: not processes_with(mark), "all processes to end")
-
-
-def wait_until(condition, what):
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < deadline, f"{what}: timed out after {TIMEOUT:g} s"
-        time.sleep(0.05)
+    wait(lambda: not processes_with(mark), "all processes to end")
 
 
 def test_where_two_hosts_cannot_be_made_the_scenario_is_skipped(monkeypatch, tmp_path, capsys):
