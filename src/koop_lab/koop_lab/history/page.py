@@ -145,18 +145,11 @@ def _curve(
     name: str, time: Floats, width: float, mean: Floats, low: Floats, high: Floats, color: int
 ) -> Iterator[Series]:
     """Yield a band and a curve in it, broken where nothing was recorded."""
-    x: list[float] = []
-    columns: tuple[list[float | None], ...] = ([], [], [])
-    for i, t in enumerate(time.tolist()):
-        if i and t - time[i - 1] > 1.5 * width:
-            x.append(int(time[i - 1] + width))
-            for column in columns:
-                column.append(None)
-        x.append(int(t))
-        for column, values in zip(columns, (mean, low, high), strict=True):
-            column.append(float(values[i]) if math.isfinite(values[i]) else None)
-    yield Series(name, x, columns[1], "band", columns[2], color)
-    yield Series(name, x, columns[0], color=color)
+    gaps = np.flatnonzero(np.diff(time) > 1.5 * width) + 1
+    x = np.insert(time, gaps, time[gaps - 1] + width).astype(np.int64).tolist()
+    curve, lower, upper = (np.insert(v, gaps, np.nan).tolist() for v in (mean, low, high))
+    yield Series(name, x, lower, "band", upper, color)
+    yield Series(name, x, curve, color=color)
 
 
 def _levels(history: History, ill: Sequence[Trouble]) -> Series:

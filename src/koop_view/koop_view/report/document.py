@@ -100,7 +100,7 @@ class Series:
     name : str
         A curve and a band of the same name share a row of the legend.
     x, y : sequence of float, shape (M,)
-        ``x`` rises or falls; None in ``y`` where there is no value.
+        ``x`` rises or falls; NaN or None in ``y`` where there is no value.
     kind : str
         ``line``, ``points``, ``steps``, ``band`` (between ``y`` and ``upper``), ``bars`` (the same
         as error bars), or ``level``: a dashed line at a value to compare with.

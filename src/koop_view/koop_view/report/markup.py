@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -37,9 +38,9 @@ def page(title: str, body: Sequence[str], sections: Sequence[Section]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return JSON terms with numbers rounded: no eye sees the rest."""
+    """Return JSON terms with numbers rounded, no eye sees the rest; None for one not finite."""
     if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}")
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
