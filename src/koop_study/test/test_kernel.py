@@ -9,11 +9,12 @@ import pytest
 
 from koop_lab.commands.simulate import run as simulated
 from koop_loop.loop import LoopDiverged, simulate
+from koop_loop.metrics import LOGGING_START
 from koop_loop.parameters import make
 from koop_loop.training import train
 from koop_study.simulation.case import Case, override, seeded
 from koop_study.simulation.run import measure, model_of, run
-from koop_study.simulation.work import runs
+from koop_study.simulation.work import runs, trace
 from vdp_plant.config import PlantConfig
 
 SHORT = {"duration": 150.0, "training.trajectories": 10, "training.duration": 10.0}
@@ -24,10 +25,20 @@ def test_it_is_the_nodes_loop_to_the_last_bit(cost: str) -> None:
     case = seeded(override(Case(), {**SHORT, "cost": cost}), 7)
     model = train(PlantConfig(), case.training)
     expected = simulate(case.plant, replace(case.lifter, cost=cost), case.esc, model, case.steps)
-    trace = run(case)
-    assert trace.theta.tobytes() == expected.theta.tobytes()
-    assert trace.r.tobytes() == expected.r.tobytes()
-    assert trace.ground_truth.tobytes() == expected.ground_truth.tobytes()
+    done = run(case)
+    assert done.theta.tobytes() == expected.theta.tobytes()
+    assert done.r.tobytes() == expected.r.tobytes()
+    assert done.ground_truth.tobytes() == expected.ground_truth.tobytes()
+
+
+@pytest.mark.parametrize("duration", [50.0, 101.0, 200.0])
+def test_a_run_of_any_length_is_drawn(duration: float) -> None:
+    drawn = trace({"cost": "raw", "duration": duration}, None)
+    first = 0.0 if duration <= LOGGING_START else LOGGING_START
+    assert drawn["t"][0] == pytest.approx(first)
+    assert first < drawn["t"][-1] < duration
+    for name in ("x", "r", "theta"):
+        assert [len(edge) for edge in drawn[name]] == [len(drawn["t"])] * 2
 
 
 LIMITS = {  # each of them acts within a minute; y_out_max in 2 % of the states

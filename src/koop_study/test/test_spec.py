@@ -88,6 +88,14 @@ def test_a_setting_without_effect_is_refused(settings: dict[str, object], messag
             "experiment: static_maps\nramps: [10.0]\ncosts: {raw: {cost: raw, esc.dwell: 3}}",
             r"esc\.dwell: has no effect on a static map",
         ),
+        ("experiment: static_maps\nramps: []\ncosts: {raw: {cost: raw}}", "ramps = .*at least one"),
+        ("experiment: static_maps\nramps: [-1.0]\ncosts: {raw: {cost: raw}}", "of 1 to 1e6 s"),
+        (
+            "experiment: cases\ntitle: A\ntext: B\ncosts: {raw: {cost: raw}}\n"
+            "tables: [{name: a, title: A, costs: [row]}]",
+            "table a: unknown cost 'row': did you mean 'raw'",
+        ),
+        ("experiment: cases\ntitle: A\ntext: B\ncosts: {}\ntables: []", "tables: needs at least"),
         (
             "experiment: cases\ntitle: A\ntext: B\ncosts: {raw: {cost: raw, plant.mu: -1}}\n"
             "tables: [{name: a, title: A}]",

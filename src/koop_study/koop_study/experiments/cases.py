@@ -10,14 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from koop_core.config.parameter import ConfigError
+from koop_core.config.parameter import ConfigError, refuse_unknown
 from koop_loop.metrics import PAPER
 from koop_study.experiments.seeds import Seeds
 from koop_study.experiments.stats import (
     COLUMNS,
     column,
     cumulative,
-    finite,
     spread,
     summary_cells,
 )
@@ -118,6 +117,12 @@ class CasesConfig:
     seeds: Seeds | None = None
     values: int = 0
     settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.tables:
+            raise ConfigError("tables: needs at least one")
+        for table in self.tables:
+            refuse_unknown(table.costs, self.costs, "cost", f"table {table.name}")
 
     def cases(self, table: CaseTable) -> Iterator[CaseOf]:
         """Yield the rows of a table."""
@@ -223,7 +228,7 @@ def _figure(
     for cost, some in by_cost.items():
         color, spreads = costs.index(cost), [spread(runs, "iae") for runs in some]
         low, median, high = (
-            [finite(getattr(s, name)) for s in spreads] for name in ("low", "median", "high")
+            [getattr(s, name) for s in spreads] for name in ("low", "median", "high")
         )
         series += [
             Series(cost, x, low, "band", high, color),

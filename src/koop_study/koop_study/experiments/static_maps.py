@@ -32,6 +32,8 @@ class StaticMapsConfig:
     settings: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not (self.ramps and all(1.0 <= duration <= 1e6 for duration in self.ramps)):
+            raise ConfigError(f"ramps = {list(self.ramps)}: needs at least one, of 1 to 1e6 s")
         for name in [name for some in (self.settings, *self.costs.values()) for name in some]:
             if name == "duration" or (name.startswith("esc.") and name != SHARED):
                 raise ConfigError(f"{name}: has no effect on a static map, nor has the controller")

@@ -89,12 +89,15 @@ def settled(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
 
 
 def trace(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
-    """Run one closed loop; return its signals from where the paper logs, thinned, and metrics."""
+    """Run one closed loop; return its signals, thinned, and metrics.
+
+    They begin where the paper logs; those of a shorter run at its begin.
+    """
     case = case_of(settings, seed)
     done = run(case)
-    first = round(LOGGING_START / case.plant.dt)
+    first = round(LOGGING_START / case.plant.dt) if case.duration > LOGGING_START else 0
     signals = {"x": done.ground_truth[:, 0], "r": done.r, "theta": done.theta}
-    every = (case.steps - first) // POINTS
+    every = max(1, (case.steps - first) // POINTS)
     return {
         "t": (done.t[first : first + every * POINTS : every]).tolist(),
         **{name: [part.tolist() for part in _drawn(x[first:])] for name, x in signals.items()},
