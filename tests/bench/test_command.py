@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import subprocess
 from contextlib import nullcontext
+from functools import partial
 from importlib import import_module
 
 import pytest
@@ -16,9 +18,9 @@ from koop_core.errors import KoopError
 from koop_lab.cli.main import main
 
 
-def fail(settings: BenchSettings) -> list[BenchFigure]:
+def fail(settings: BenchSettings, error: Exception) -> list[BenchFigure]:
     settings.show("before the end")
-    raise KoopError("no more space")
+    raise error
 
 
 def test_every_benchmark_is_a_module():
@@ -26,14 +28,24 @@ def test_every_benchmark_is_a_module():
         assert import_module(f"koop_bench.{name}").run.__doc__
 
 
-def test_one_that_fails_loses_no_other():
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (KoopError("no more space"), "no more space\n"),
+        (OSError(28, "no more space"), "[Errno 28] no more space\n"),
+        (subprocess.TimeoutExpired("cc", 1.0), "Traceback"),
+    ],
+)
+def test_one_that_fails_loses_no_other(error, told):
     lines: list[str] = []
     figure = BenchFigure("speed", "2 steps/s", 0.5, "C")
     settings = BenchSettings(None, None, lines.append)
-    assert not run_benchmarks({"bad": fail, "good": lambda settings: [figure]}, settings)
+    assert not run_benchmarks(
+        {"bad": partial(fail, error=error), "good": lambda settings: [figure]}, settings
+    )
     assert "| good | speed | 2 steps/s | 0.5 x C |" in lines[-1]
     text = "\n".join(lines)
-    assert "before the end\nfailed: no more space\n" in text
+    assert f"before the end\nfailed: {told}" in text
     assert re.findall(r"^(\w+): \w+$", text, re.MULTILINE) == ["bad", "good"]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
@@ -81,9 +82,12 @@ def run_benchmarks(
         begin = time.monotonic()
         try:
             figures += [(name, figure) for figure in measure(settings)]
-        except KoopError as error:
+        except (KoopError, OSError) as error:
             failed = True
             settings.show(f"failed: {error}")
+        except Exception:  # a fault of ours, or a process that was killed: it is reported
+            failed = True
+            settings.show(f"failed: {traceback.format_exc()}")
         settings.show(f"({time.monotonic() - begin:.0f} s)")
     settings.show(f"\n{figure_table(figures)}")
     return not failed and all(figure.kept for _, figure in figures)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from koop_bench.figures import BenchFigure, BenchSettings
-from koop_core.errors import KoopError
 from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram, edmd
 from koopman_lifter.observables import Monomials
@@ -75,15 +74,9 @@ def make_recording(count: int) -> NDArray[np.float64]:
 
 
 def identify(tool: str, file: Path, delays: int, snapshots: int) -> Identification:
-    """Identify in a process of its own, with one thread.
-
-    Raises KoopError if it fails.
-    """
+    """Identify in a process of its own, with one thread."""
     with ProcessPoolExecutor(1, get_context("spawn")) as process:
-        try:
-            return process.submit(measure, tool, file, delays, snapshots).result()
-        except OSError as error:
-            raise KoopError(str(error)) from None
+        return process.submit(measure, tool, file, delays, snapshots).result()
 
 
 def difference(ours: NDArray[np.complex128], theirs: NDArray[np.complex128]) -> float:

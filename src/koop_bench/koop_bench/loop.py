@@ -22,9 +22,9 @@ ROUNDS = 3
 
 
 def run(settings: BenchSettings) -> list[BenchFigure]:
-    """Measure bare chain and loop in turn; of the ratios the median counts."""
+    """Measure bare chain and loop in turn; the median counts, of rates as of ratios."""
     steps = round((settings.duration or DURATION) / DT)
-    ratios: list[tuple[float, float, float]] = []
+    rounds: list[tuple[float, ...]] = []
     settings.show(
         f"{steps} steps a round; bare: a -> b -> c -> a, three rclpy processes, same message "
         "types, Fast DDS as it comes;\nraw: the same in one process, bytes in and bytes out; loop: "
@@ -33,13 +33,15 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
     for number in range(settings.rounds or ROUNDS):
         bare, raw = bare_rate(steps), bare_rate(steps, raw=True)
         apart, composed = loop_rate(steps, False), loop_rate(steps, True)
-        ratios.append((apart / bare, composed / bare, composed / raw))
+        rounds.append((apart, composed, apart / bare, composed / bare, composed / raw))
         settings.show(
             f"round {number + 1}: bare {bare:.0f} /s, raw {raw:.0f} /s; loop in processes "
             f"{apart:.0f} /s, {apart / bare:.2f} of bare; in one process {composed:.0f} /s, "
             f"{composed / bare:.2f} of bare, {composed / raw:.2f} of raw"
         )
-    of_bare, in_one, of_raw = (sorted(each)[len(each) // 2] for each in zip(*ratios, strict=True))
+    apart, composed, of_bare, in_one, of_raw = (
+        sorted(each)[len(each) // 2] for each in zip(*rounds, strict=True)
+    )
     return [
         BenchFigure("loop in processes", f"{apart:.0f} steps/s", of_bare, "the bare chain"),
         BenchFigure("loop in one process", f"{composed:.0f} steps/s", in_one, "the bare chain"),
