@@ -17,7 +17,7 @@ import { byId, setOptions } from "./dom";
 import { short } from "./format";
 import type { Loop } from "./loop";
 import type { Desk } from "./operator";
-import { curves, type Stream } from "./stream";
+import { curves, positive, type Stream } from "./stream";
 import type { TimeAxis } from "./time_axis";
 
 /** One figure over time. */
@@ -166,7 +166,7 @@ export class Figures {
         const { loop } = this.desk;
         if (!loop) return undefined;
         const data = curves(figure.stream(loop), names(), ...time.range());
-        return (figure.log ? positive(data) : data) as unknown as uPlot.AlignedData;
+        return (figure.log ? positive(data) : data) as uPlot.AlignedData;
       },
     });
   }
@@ -231,7 +231,7 @@ export class Figures {
       }),
       data: () => {
         const bins = this.desk.loop?.map.bins();
-        return bins && [bins.theta, bins.least, bins.most, bins.mean];
+        return bins && positive([bins.theta, bins.least, bins.most, bins.mean]);
       },
     };
   }
@@ -327,9 +327,4 @@ function ends(values: number[]): [number, number] {
 function line(label: string, stroke: string, more: uPlot.Series = {}): uPlot.Series {
   const value = (_u: uPlot, v: number | null): string => short(v);
   return { label, stroke, width: 1.25, points: { show: false }, spanGaps: false, value, ...more };
-}
-
-/** Leave out what a logarithmic axis cannot show. */
-function positive<T extends (number | null)[]>([t, ...values]: [number[], ...T[]]): unknown[] {
-  return [t, ...values.map((v) => v.map((y) => (y !== null && y > 0 ? y : null)))];
 }

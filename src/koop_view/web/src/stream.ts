@@ -167,3 +167,8 @@ function interrupt(t: number[], values: Values[], silence: number): [number[], .
   });
   return [times, ...lines];
 }
+
+/** Leave out what a logarithmic axis cannot show: x, and the curves over it. */
+export function positive([x, ...curves]: [number[], ...Values[]]): [number[], ...Values[]] {
+  return [x, ...curves.map((y) => y.map((v) => (v !== null && v > 0 ? v : null)))];
+}

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { type Column, Columns } from "../src/columns";
-import { curves, Stream } from "../src/stream";
+import { curves, positive, Stream } from "../src/stream";
 
 type Row = Column & { t: number };
 
@@ -141,4 +141,17 @@ test("hours at 200 Hz need no more memory than the first minutes, and all of the
   }
   const all = rows(stream.signals.get("x[0]")!.columns);
   assert.deepEqual([all[0]!.low, all.at(-1)!.high], [0, i - 1]);
+});
+
+test("a logarithmic axis shows what is above 0, whatever else there is", () => {
+  const curves: [number[], ...(number | null)[][]] = [
+    [1, 2, 3],
+    [0, 0.5, null],
+    [1, -1, 2],
+  ];
+  assert.deepEqual(positive(curves), [
+    [1, 2, 3],
+    [null, 0.5, null],
+    [1, null, 2],
+  ]);
 });
