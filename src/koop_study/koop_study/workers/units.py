@@ -80,17 +80,16 @@ def sources(packages: Sequence[str]) -> dict[str, str]:
     return texts
 
 
+class _WithoutTexts(ast.NodeTransformer):
+    """Removes docstrings, those of fields and constants included."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        return None if isinstance(node.value, ast.Constant) else node
+
+
 def meaning(source: str) -> str:
     """Return a hash of a module's code without comments, docstrings and line breaks."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
-            and node.body
-            and isinstance(node.body[0], ast.Expr)
-            and isinstance(node.body[0].value, ast.Constant)
-        ):
-            node.body[0].value.value = ""
+    tree = _WithoutTexts().visit(ast.parse(source))
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 
