@@ -240,7 +240,7 @@ def test_comments_docstrings_and_line_breaks_do_not_change_what_code_means() -> 
         'def f(x):\n    """One."""\n    # why\n    return (\n        x + 1\n    )\n',
     ):
         assert units.meaning(same) == units.meaning(plain)
-    field = 'class A:\n    x: int = 1\n'
+    field = "class A:\n    x: int = 1\n"
     assert units.meaning(f'{field}    """Above 0."""\n') == units.meaning(field)
     for other in ("x + 2", "x - 1", "1 + x", "'x + 1'"):
         assert units.meaning(plain.replace("x + 1", other)) != units.meaning(plain)

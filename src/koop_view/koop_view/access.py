@@ -24,21 +24,14 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Access:
-    """The rules.
-
-    Attributes
-    ----------
-    token : str
-        Token that permits to operate; empty: nobody may.
-    origins : collection of str
-        Origins of the web pages, besides the server's own, that may connect.
-    host : str
-        Address or name that the server listens on, by which it may be called.
-    """
+    """The rules."""
 
     token: str = ""
+    """Token that permits to operate; empty: nobody may."""
     origins: Collection[str] = ()
+    """Origins of the web pages, besides the server's own, that may connect."""
     host: str = ""
+    """Address or name that the server listens on, by which it may be called."""
 
     def refuse_host(self, host: str | None) -> Refusal | None:
         """Refuse a request to a name that anybody could have pointed at this machine.

@@ -14,20 +14,6 @@ ADDRESS = "the page: "  # begins the line with its address
 class ViewConfig:
     """Address and access of the server.
 
-    Attributes
-    ----------
-    host : str
-        Address to listen on; 0.0.0.0: on all of this machine, without encryption.
-    port : int
-        TCP port; 0: any that is free.
-    operate : bool
-        Whether clients with the token, printed at the start, may hold, reset and change the loop.
-    origins : tuple of str
-        Origins of web pages that may connect besides the server's own.
-    about : str
-        File with a line that is shown beside the loop, such as the stage of a commissioning; it
-        may change.
-
     Raises
     ------
     koop_core.config.parameter.ConfigError
@@ -35,10 +21,16 @@ class ViewConfig:
     """
 
     host: str = "127.0.0.1"
+    """Address to listen on; 0.0.0.0: on all of this machine, without encryption."""
     port: int = 8765
+    """TCP port; 0: any that is free."""
     operate: bool = False
+    """Whether clients with the token, printed at the start, may hold, reset and change the loop."""
     origins: tuple[str, ...] = ()
+    """Origins of web pages that may connect besides the server's own."""
     about: str = ""
+    """File with a line that is shown beside the loop, such as the stage of a commissioning; it may
+    change."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:

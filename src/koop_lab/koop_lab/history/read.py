@@ -74,27 +74,19 @@ class RunSpan:
 
 @dataclass
 class History:
-    """A loop, over all runs.
-
-    Attributes
-    ----------
-    name : str
-        Namespace, without a slash at its end.
-    channels : tuple of str
-        Names of the measured channels.
-    rows : Rows
-        Intervals, in order of time.
-    models : list of (float, str)
-        Time [s since the epoch] from which on a model served the cost.
-    """
+    """A loop, over all runs."""
 
     name: str
+    """Namespace, without a slash at its end."""
     channels: tuple[str, ...]
+    """Names of the measured channels."""
     rows: Rows
+    """Intervals, in order of time."""
     runs: list[RunSpan]
     guard: list[GuardMessage]
     health: list[HealthMessage]
     models: list[tuple[float, str]]
+    """Time [s since the epoch] from which on a model served the cost."""
 
 
 @dataclass

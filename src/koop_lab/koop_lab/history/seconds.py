@@ -24,27 +24,20 @@ TABLES = ("x", "r", "margin", "theta")
 
 @dataclass(frozen=True)
 class Rows:
-    """Intervals of a loop, in order.
-
-    Attributes
-    ----------
-    time : ndarray, shape (m,)
-        Begin [s since the epoch].
-    weight : ndarray, shape (m,)
-        Seconds that it has.
-    power : ndarray, shape (m, n)
-        Variance of each channel within it.
-    x, r, margin, theta : ndarray, shape (m, 3, n or 1)
-        Least, largest and mean value; theta, as it is read, of as many knobs as there may be.
-    """
+    """Intervals of a loop, in order."""
 
     time: Floats
+    """Shape (m,): begin [s since the epoch]."""
     weight: Floats
+    """Shape (m,): seconds that it has."""
     power: Floats
+    """Shape (m, n): variance of each channel within it."""
     x: Floats
     r: Floats
     margin: Floats
     theta: Floats
+    """Shape (m, 3, n or 1): least, largest and mean value; theta, as it is read, of as many knobs
+    as there may be."""
 
     def since(self, time: float) -> Rows:
         """Return those that begin at a time [s since the epoch] or later."""

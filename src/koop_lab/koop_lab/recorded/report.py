@@ -34,30 +34,20 @@ WHOLE = 0.99  # of the recorded time: figures that cover less say so
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """A recorded run and what the bag says about how it was made.
-
-    Attributes
-    ----------
-    path : Path
-        The bag.
-    signals : Signals
-        State, cost, theta.
-    loop : LoopRecord or None
-        The loop's own topics; None of a bag of other messages.
-    parameters : LoopParameters or None
-        Parameters of the loop; None if they were not recorded.
-    theta_star : float or None
-        The best theta of our plant; None of a rig.
-    model : KoopmanModel or None
-        The chosen model, else the model of the first cost; None if it is not at hand.
-    """
+    """A recorded run and what the bag says about how it was made."""
 
     path: Path
+    """The bag."""
     signals: Signals
+    """State, cost, theta."""
     loop: LoopRecord | None
+    """The loop's own topics; None of a bag of other messages."""
     parameters: LoopParameters | None
+    """Parameters of the loop; None if they were not recorded."""
     theta_star: float | tuple[float, ...] | None
+    """The best theta of our plant; None of a rig."""
     model: KoopmanModel | None
+    """The chosen model, else the model of the first cost; None if it is not at hand."""
 
     @property
     def cost(self) -> str:

@@ -21,41 +21,27 @@ Values = dict[str, dict[str, Any]]
 
 @dataclass(frozen=True)
 class ReplaySegment:
-    """States `begin` to `end` (exclusive), answered with the same parameters.
-
-    Attributes
-    ----------
-    begin, end : int
-        Rows of the recording.
-    parameters : LoopParameters
-        Parameters of the lifter and the controller; the plant's are defaults.
-    changed : tuple of ParameterChange
-        What was set before the first of these states.
-    """
+    """States `begin` to `end` (exclusive), answered with the same parameters."""
 
     begin: int
     end: int
+    """Rows of the recording."""
     parameters: LoopParameters
+    """Parameters of the lifter and the controller; the plant's are defaults."""
     changed: tuple[ParameterChange, ...]
+    """What was set before the first of these states."""
 
 
 @dataclass(frozen=True)
 class ReplayPlan:
-    """Everything that decides the answers, besides the states.
-
-    Attributes
-    ----------
-    segments : tuple of ReplaySegment
-        Consecutive parts that cover the recording.
-    differences : list of tuple
-        (parameter, recorded, replayed) where the user's choice differs from the recording.
-    notes : list of str
-        What the user should know about the parameters.
-    """
+    """Everything that decides the answers, besides the states."""
 
     segments: tuple[ReplaySegment, ...]
+    """Consecutive parts that cover the recording."""
     differences: list[tuple[str, Any, Any]]
+    """(parameter, recorded, replayed) where the user's choice differs from the recording."""
     notes: list[str]
+    """What the user should know about the parameters."""
 
 
 def make_plan(

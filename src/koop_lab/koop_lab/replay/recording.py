@@ -34,57 +34,41 @@ FIELDS = {
 
 @dataclass(frozen=True)
 class Recording:
-    """States in the order in which they were heard, one row each, M in all.
-
-    Attributes
-    ----------
-    path : Path
-        The bag.
-    state_topic : str
-        Full name of the topic of the states.
-    message : ndarray of int64, shape (M,)
-        Position of the state among the messages of its topic.
-    step : ndarray of int64, shape (M,)
-        Step index.
-    r, theta : ndarray, shape (M,)
-        Recorded answers; NaN where there is none; theta of n > 1 knobs of shape (M, n).
-    margin : ndarray, shape (M,)
-        Recorded margin of a constraint; NaN where there is none.
-    has_r, has_theta : ndarray of bool, shape (M,)
-        Whether the answer was recorded.
-    hold : ndarray of bool, shape (M,)
-        Whether theta was held although the cost was finite: by the hold service or inactivity.
-    source : ndarray of int, shape (M,)
-        Which cost was answered; NO_SOURCE where there is no answer.
-    model : ndarray of str, shape (M,)
-        Id of the model that answered; empty where there is no answer.
-    values : dict
-        Parameters by node at the first state; empty if they were not recorded.
-    changes : tuple of ParameterChange
-        Parameters changed while recording, in order of their first state.
-    unknown : list of str
-        Parameters that were changed while recording and of which the first value is not known.
-    repeated, unanswered : int
-        States that are left out: sent again, and without a recorded cost.
-    """
+    """States in the order in which they were heard, one row each, M in all."""
 
     path: Path
+    """The bag."""
     state_topic: str
+    """Full name of the topic of the states."""
     message: NDArray[np.int64]
+    """Shape (M,): position of the state among the messages of its topic."""
     step: NDArray[np.int64]
+    """Shape (M,): step index."""
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
+    """Shape (M,): recorded answers; NaN where there is none; theta of n > 1 knobs of shape (M, n).
+    """
     margin: NDArray[np.float64]
+    """Shape (M,): recorded margin of a constraint; NaN where there is none."""
     has_r: NDArray[np.bool_]
     has_theta: NDArray[np.bool_]
+    """Shape (M,): whether the answer was recorded."""
     hold: NDArray[np.bool_]
+    """Shape (M,): whether theta was held although the cost was finite: by the hold service or
+    inactivity."""
     source: NDArray[np.uint8]
+    """Shape (M,): which cost was answered; NO_SOURCE where there is no answer."""
     model: NDArray[np.str_]
+    """Shape (M,): id of the model that answered; empty where there is no answer."""
     values: dict[str, dict[str, Any]]
+    """Parameters by node at the first state; empty if they were not recorded."""
     changes: tuple[ParameterChange, ...]
+    """Parameters changed while recording, in order of their first state."""
     unknown: list[str]
+    """Parameters that were changed while recording and of which the first value is not known."""
     repeated: int
     unanswered: int
+    """States that are left out: sent again, and without a recorded cost."""
 
     @property
     def without_parameters(self) -> list[str]:

@@ -23,24 +23,16 @@ from koop_tune.rig.rig_file import RigFile, state_source
 
 @dataclass(frozen=True)
 class SimulatedExcitation:
-    """The recording of an excitation.
-
-    Attributes
-    ----------
-    theta : ndarray, shape (M,) or (M, n)
-        Control input of each sample; of n knobs.
-    x : ndarray, shape (M, n)
-        Measured channels.
-    design : KnobsDesign
-        Its decisions.
-    elapsed : float
-        Time [s].
-    """
+    """The recording of an excitation."""
 
     theta: NDArray[np.float64]
+    """Shape (M,) or (M, n): control input of each sample; of n knobs."""
     x: NDArray[np.float64]
+    """Shape (M, n): measured channels."""
     design: KnobsDesign
+    """Its decisions."""
     elapsed: float
+    """Time [s]."""
 
     @property
     def loaded(self) -> Loaded:

@@ -40,31 +40,21 @@ class CaseOf(NamedTuple):
 
 @dataclass(frozen=True)
 class CaseTable:
-    """A table: every cost with every value of what is varied.
-
-    Attributes
-    ----------
-    name, title : str
-        Name of table and figure; the varied quantity in words, with its unit.
-    parameters : tuple of str
-        Settings that get the value; if a value is a list, each gets its own element.
-    values : tuple
-        The values; none: each cost as it is.
-    grid : tuple
-        In place of values, a list for each parameter: all combinations.
-    costs : tuple of str
-        Empty: the experiment's costs.
-    settings : dict
-        Further settings of this table.
-    """
+    """A table: every cost with every value of what is varied."""
 
     name: str
     title: str
+    """Name of table and figure; the varied quantity in words, with its unit."""
     parameters: tuple[str, ...] = ()
+    """Settings that get the value; if a value is a list, each gets its own element."""
     values: tuple[Any, ...] = ()
+    """The values; none: each cost as it is."""
     grid: tuple[Any, ...] = ()
+    """In place of values, a list for each parameter: all combinations."""
     costs: tuple[str, ...] = ()
+    """Empty: the experiment's costs."""
     settings: dict[str, Any] = field(default_factory=dict)
+    """Further settings of this table."""
 
     def __post_init__(self) -> None:
         for path in (*self.parameters, *self.settings):
@@ -92,31 +82,21 @@ class CaseTable:
 
 @dataclass(frozen=True)
 class CasesConfig:
-    """Tables of cases.
-
-    Attributes
-    ----------
-    title, text : str
-        Heading and text of the report's part.
-    costs : dict of str to dict
-        Names of the costs and their settings.
-    tables : tuple of CaseTable
-        What is run.
-    seeds : Seeds or None
-        Seeds of every case; None: one run as in the paper, drawn.
-    values : int
-        Number of values of each table, spread over its list; 0 for all.
-    settings : dict
-        Settings of all cases.
-    """
+    """Tables of cases."""
 
     title: str
     text: str
+    """Heading and text of the report's part."""
     costs: dict[str, dict[str, Any]]
+    """Names of the costs and their settings."""
     tables: tuple[CaseTable, ...]
+    """What is run."""
     seeds: Seeds | None = None
+    """Seeds of every case; None: one run as in the paper, drawn."""
     values: int = 0
+    """Number of values of each table, spread over its list; 0 for all."""
     settings: dict[str, Any] = field(default_factory=dict)
+    """Settings of all cases."""
 
     def __post_init__(self) -> None:
         if not self.tables:

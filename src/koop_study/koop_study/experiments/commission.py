@@ -24,21 +24,14 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class CommissionConfig(Settings):
-    """Rigs, and how long each may be excited and is verified.
-
-    Attributes
-    ----------
-    rigs : Seeds
-        Seeds of the first stratum; each of the others has as many, the next ones.
-    strata : dict of str to dict
-        Settings of the family of each stratum.
-    family : dict
-        Settings of the family that all strata have, whatever they say themselves.
-    """
+    """Rigs, and how long each may be excited and is verified."""
 
     rigs: Seeds
+    """Seeds of the first stratum; each of the others has as many, the next ones."""
     strata: dict[str, dict[str, Any]]
+    """Settings of the family of each stratum."""
     family: dict[str, Any] = field(default_factory=dict)
+    """Settings of the family that all strata have, whatever they say themselves."""
     rate: float = parameter(
         0.5, "largest change of theta: ranges in the rig's own time", low=1e-4, high=1e4
     )

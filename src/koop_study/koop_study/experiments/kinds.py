@@ -26,24 +26,16 @@ ORDER = ("modes", "static_maps", "closed_loop", "robustness", "sensitivity", "ab
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment file, read and checked.
-
-    Attributes
-    ----------
-    path : Path
-        The file.
-    kind : str
-        A key of :data:`KINDS`.
-    content : dict
-        Settings in force, in YAML terms.
-    config : object
-        The same as the kind's configuration class.
-    """
+    """One experiment file, read and checked."""
 
     path: Path
+    """The file."""
     kind: str
+    """A key of :data:`KINDS`."""
     content: dict[str, Any]
+    """Settings in force, in YAML terms."""
     config: Any
+    """The same as the kind's configuration class."""
 
     def units(self) -> list[Unit]:
         """Return the units of work that the experiment needs."""

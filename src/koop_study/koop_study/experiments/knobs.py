@@ -70,30 +70,22 @@ SOURCES = {
 
 @dataclass(frozen=True)
 class Commissioned:
-    """Rigs that are commissioned, and how.
-
-    Attributes
-    ----------
-    seeds : Seeds
-        Seeds of every row.
-    knobs : tuple of int
-        Numbers of knobs.
-    conditions : tuple of float
-        Condition numbers of their couplings.
-    family : dict
-        Settings of the rigs' family.
-    rate, excitation, duration, effort : float
-        As of :class:`koop_study.experiments.commission.CommissionConfig`, the times for each knob.
-    """
+    """Rigs that are commissioned, and how."""
 
     seeds: Seeds
+    """Seeds of every row."""
     knobs: tuple[int, ...]
+    """Numbers of knobs."""
     conditions: tuple[float, ...]
+    """Condition numbers of their couplings."""
     family: dict[str, Any]
+    """Settings of the rigs' family."""
     rate: float
     excitation: float
     duration: float
     effort: float
+    """As of :class:`koop_study.experiments.commission.CommissionConfig`, the times for each knob.
+    """
 
     def __post_init__(self) -> None:
         parse(FamilyConfig, self.family, "family")
@@ -139,36 +131,24 @@ class Commissioned:
 
 @dataclass(frozen=True)
 class KnobsConfig:
-    """What is run.
-
-    Attributes
-    ----------
-    seeds : Seeds
-        Seeds of every row.
-    knobs : tuple of int
-        Numbers of knobs of the random rigs, from 1 to 8.
-    conditions : tuple of float
-        Condition numbers of their couplings.
-    duration : float
-        Length of a run on a random rig in dwell times.
-    plant_knobs : tuple of int
-        Numbers of knobs of the paper's plant.
-    commissioned : Commissioned or None
-        Random rigs that are commissioned as well.
-    settings : dict
-        Settings of its loop.
-    yardsticks : tuple of str
-        Maps of others.
-    """
+    """What is run."""
 
     seeds: Seeds
+    """Seeds of every row."""
     knobs: tuple[int, ...]
+    """Numbers of knobs of the random rigs, from 1 to 8."""
     conditions: tuple[float, ...]
+    """Condition numbers of their couplings."""
     duration: float
+    """Length of a run on a random rig in dwell times."""
     plant_knobs: tuple[int, ...]
+    """Numbers of knobs of the paper's plant."""
     settings: dict[str, Any] = field(default_factory=dict)
+    """Settings of its loop."""
     yardsticks: tuple[str, ...] = tuple(SOURCES)
+    """Maps of others."""
     commissioned: Commissioned | None = None
+    """Random rigs that are commissioned as well."""
 
     def __post_init__(self) -> None:
         for n in (*self.knobs, *self.plant_knobs):

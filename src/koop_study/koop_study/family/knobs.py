@@ -30,22 +30,15 @@ NEAREST = 0.05  # u* of the random rig
 
 @dataclass(frozen=True)
 class KnobsRig:
-    """A rig with several knobs.
-
-    Attributes
-    ----------
-    rig : RandomRig
-        What its theta leads to.
-    m : ndarray, shape (n, n)
-        M, times the reach.
-    best, start : ndarray, shape (n,)
-        v*, and the knobs before any command.
-    """
+    """A rig with several knobs."""
 
     rig: RandomRig
+    """What its theta leads to."""
     m: Array
+    """Shape (n, n): M, times the reach."""
     best: Array
     start: Array
+    """Shape (n,): v*, and the knobs before any command."""
 
     def theta(self, v: Array) -> Array:
         """Return the theta that acts at positions, shape (M, n)."""

@@ -29,37 +29,25 @@ from relay_esc.relay import RelayParams
 
 @dataclass(frozen=True)
 class RigController:
-    """Lifter and controller of a loop.
-
-    Attributes
-    ----------
-    lifter : LifterConfig
-        Configuration of the detector.
-    esc : EscConfig
-        Configuration of the controller; theta's start is chosen by the run.
-    model : KoopmanModel or None
-        Model of the lifted cost; None for the raw one.
-    """
+    """Lifter and controller of a loop."""
 
     lifter: LifterConfig
+    """Configuration of the detector."""
     esc: EscConfig
+    """Configuration of the controller; theta's start is chosen by the run."""
     model: KoopmanModel | None = None
+    """Model of the lifted cost; None for the raw one."""
 
 
 @dataclass(frozen=True)
 class RunNoise:
-    """Noise and interference of a run, and the amplitude at the best fixed theta under them.
-
-    Attributes
-    ----------
-    numbers : ndarray, shape (M, 2 + n)
-        Standard normal numbers of the rig; noise and interference of its channels.
-    best : float
-        Root mean square of the amplitude over the second half at the best fixed theta.
-    """
+    """Noise and interference of a run, and the amplitude at the best fixed theta under them."""
 
     numbers: NDArray[np.float64]
+    """Shape (M, 2 + n): standard normal numbers of the rig; noise and interference of its channels.
+    """
     best: float
+    """Root mean square of the amplitude over the second half at the best fixed theta."""
 
 
 def exposed(p: RigParams) -> RigParams:
@@ -86,22 +74,15 @@ def noise_of(rig: RandomRig, steps: int, seed: int) -> RunNoise:
 
 
 class ClosedRun(NamedTuple):
-    """A loop that was closed on a rig.
-
-    Attributes
-    ----------
-    ratio : float
-        True amplitude of the second half over that at the best fixed theta with the same noise (its
-        inverse where it is to be large).
-    x : ndarray, shape (M, n)
-        Measured channels.
-    theta : ndarray, shape (M,)
-        The controller's; of n knobs (M, n).
-    """
+    """A loop that was closed on a rig."""
 
     ratio: float
+    """True amplitude of the second half over that at the best fixed theta with the same noise (its
+    inverse where it is to be large)."""
     x: NDArray[np.float64]
+    """Shape (M, n): measured channels."""
     theta: NDArray[np.float64]
+    """Shape (M,): the controller's; of n knobs (M, n)."""
 
 
 def from_end(rig: RandomRig, end: int) -> RandomRig:

@@ -50,86 +50,62 @@ TWO_MODES = 4
 
 
 class RigParams(NamedTuple):
-    """Constants of a rig.
-
-    Attributes
-    ----------
-    kind : int
-        LIMIT_CYCLE or NOISE_DRIVEN.
-    turn, jitter : float
-        Phase of a step [rad], and the standard deviation of its random part.
-    dt : float
-        Sampling time [s].
-    theta_min, theta_max : float
-        Range of theta; the rig clips to it.
-    log_scale : bool
-        Whether u is the position of log theta.
-    shape : int
-        BOWL, MONOTONE, FLAT, TWO_VALLEYS or TWO_MODES.
-    sense : float
-        +1 if L* is the smallest level, -1 if it is the largest.
-    best, level : float
-        u* at t = 0 and L*; of a monotone map, L at u = 1/2.
-    width_below, width_above, flat, power : float
-        w on the two sides of u*, half the width of the bottom, p; a monotone map has the slope of
-        log L in ``width_above``, two modes the slopes of -log L_1 and log L_2 in both.
-    saturation : float
-        D, largest gain of a narrow map; infinite of others.
-    apart, other_width, shallower : float
-        d, w' and s of a second valley.
-    play : float
-        b, backlash of theta, in u.
-    drift : float
-        Motion of u* [1/s], turning at the margin.
-    tau, exponent, tau_low, tau_high : float
-        tau(theta) = tau (L / L*)^exponent within its limits [s].
-    middle : float
-        L_mid, geometric mean of the smallest and the largest level at t = 0.
-    mix : ndarray, shape (n, 5)
-        m_1 to m_5 of each of n channels.
-    second : float
-        Frequency of the second oscillation over the first's.
-    offset, noise : ndarray, shape (n,)
-        Offset and standard deviation of the white noise of each channel.
-    tone : ndarray, shape (m,)
-        Frequencies of the interference [rad/s].
-    tone_amplitude, tone_phase : ndarray, shape (m, n)
-        What reaches each channel of it.
-    """
+    """Constants of a rig."""
 
     kind: int
+    """LIMIT_CYCLE or NOISE_DRIVEN."""
     turn: float
     jitter: float
+    """Phase of a step [rad], and the standard deviation of its random part."""
     dt: float
+    """Sampling time [s]."""
     theta_min: float
     theta_max: float
+    """Range of theta; the rig clips to it."""
     log_scale: bool
+    """Whether u is the position of log theta."""
     shape: int
+    """BOWL, MONOTONE, FLAT, TWO_VALLEYS or TWO_MODES."""
     sense: float
+    """+1 if L* is the smallest level, -1 if it is the largest."""
     best: float
     level: float
+    """u* at t = 0 and L*; of a monotone map, L at u = 1/2."""
     width_below: float
     width_above: float
     flat: float
     power: float
+    """w on the two sides of u*, half the width of the bottom, p; a monotone map has the slope of
+    log L in ``width_above``, two modes the slopes of -log L_1 and log L_2 in both."""
     saturation: float
+    """D, largest gain of a narrow map; infinite of others."""
     apart: float
     other_width: float
     shallower: float
+    """d, w' and s of a second valley."""
     play: float
+    """b, backlash of theta, in u."""
     drift: float
+    """Motion of u* [1/s], turning at the margin."""
     tau: float
     exponent: float
     tau_low: float
     tau_high: float
+    """tau(theta) = tau (L / L*)^exponent within its limits [s]."""
     middle: float
+    """L_mid, geometric mean of the smallest and the largest level at t = 0."""
     second: float
+    """Frequency of the second oscillation over the first's."""
     mix: NDArray[np.float64]
+    """Shape (n, 5): m_1 to m_5 of each of n channels."""
     offset: NDArray[np.float64]
     noise: NDArray[np.float64]
+    """Shape (n,): offset and standard deviation of the white noise of each channel."""
     tone: NDArray[np.float64]
+    """Shape (m,): frequencies of the interference [rad/s]."""
     tone_amplitude: NDArray[np.float64]
     tone_phase: NDArray[np.float64]
+    """Shape (m, n): what reaches each channel of it."""
 
 
 class RigState(NamedTuple):

@@ -30,27 +30,18 @@ QUANTITIES = (
 
 @dataclass(frozen=True)
 class RandomRig:
-    """A rig and its true values.
-
-    Attributes
-    ----------
-    seed : int
-        That it was drawn from.
-    map : str
-        One of :data:`koop_study.family.config.MAPS`.
-    frequency : float
-        Frequency of the oscillation [Hz].
-    theta_initial : float
-        Where a run begins: at least a quarter of the range from the optimum.
-    params : RigParams
-        For the compiled step.
-    """
+    """A rig and its true values."""
 
     seed: int
+    """That it was drawn from."""
     map: str
+    """One of :data:`koop_study.family.config.MAPS`."""
     frequency: float
+    """Frequency of the oscillation [Hz]."""
     theta_initial: float
+    """Where a run begins: at least a quarter of the range from the optimum."""
     params: RigParams
+    """For the compiled step."""
 
     @property
     def channels(self) -> int:

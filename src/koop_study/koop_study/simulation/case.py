@@ -20,18 +20,12 @@ COSTS = ("raw", "lifted", "contrast")
 
 @dataclass(frozen=True)
 class Case:
-    """A closed loop: which cost, and the configurations of all its parts.
-
-    Attributes
-    ----------
-    cost : str
-        One of :data:`COSTS`.
-    duration : float
-        Length of the run [s].
-    """
+    """A closed loop: which cost, and the configurations of all its parts."""
 
     cost: str = "lifted"
+    """One of :data:`COSTS`."""
     duration: float = 2500.0
+    """Length of the run [s]."""
     plant: PlantConfig = field(default_factory=PlantConfig)
     lifter: LifterConfig = field(default_factory=LifterConfig)
     esc: EscConfig = field(default_factory=EscConfig)

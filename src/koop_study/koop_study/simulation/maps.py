@@ -25,22 +25,15 @@ SMOOTHING = 3  # points of the moving average before the second differences
 
 
 class MapShape(NamedTuple):
-    """How suitable a static map is for extremum seeking.
-
-    Attributes
-    ----------
-    convexity : float
-        Share of the smoothed map's second differences that are >= 0; 1 for a convex map.
-    rank_correlation : float
-        Spearman's, of r with |theta - theta*|; 1 for a map that rises monotonously both ways.
-    argmin, minimum : float
-        theta of the smoothed map's smallest value, and that value.
-    """
+    """How suitable a static map is for extremum seeking."""
 
     convexity: float
+    """Share of the smoothed map's second differences that are >= 0; 1 for a convex map."""
     rank_correlation: float
+    """Spearman's, of r with |theta - theta*|; 1 for a map that rises monotonously both ways."""
     argmin: float
     minimum: float
+    """theta of the smoothed map's smallest value, and that value."""
 
 
 def grid() -> NDArray[np.float64]:

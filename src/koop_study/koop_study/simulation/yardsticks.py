@@ -28,32 +28,23 @@ HESSIAN = np.array([[100.0, 30.0], [30.0, 20.0]])
 
 @dataclass(frozen=True)
 class Yardstick:
-    """A map, where it is begun, and when it counts as reached.
-
-    Attributes
-    ----------
-    cost : callable
-        Of the inputs, shape (n,); above 0.
-    start, best : ndarray, shape (n,)
-        Inputs at first, and the optimum; the start lies in a random direction where ``turned``.
-    low, high : float
-        Limits of each input.
-    reached : callable
-        Whether the inputs are near enough.
-    turned : bool
-        Whether the source's figure holds for every start at that distance.
-    objective : str
-        As in :class:`relay_esc.config.EscConfig`.
-    """
+    """A map, where it is begun, and when it counts as reached."""
 
     cost: Callable[[Array], float]
+    """Of the inputs, shape (n,); above 0."""
     start: Array
     best: Array
+    """Shape (n,): inputs at first, and the optimum; the start lies in a random direction where
+    ``turned``."""
     low: float
     high: float
+    """Limits of each input."""
     reached: Callable[[Array], bool]
+    """Whether the inputs are near enough."""
     turned: bool = True
+    """Whether the source's figure holds for every start at that distance."""
     objective: str = "minimise"
+    """As in :class:`relay_esc.config.EscConfig`."""
 
 
 def farm_power(u: Array) -> float:

@@ -44,21 +44,14 @@ def digest_of(meanings: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True)
 class Unit:
-    """A function of ``koop_study.workers.task.WORK``.
-
-    Attributes
-    ----------
-    work : str
-        Name of the function.
-    arguments : dict
-        Its arguments, in JSON terms.
-    code : str
-        Fingerprint of the code that decides the result.
-    """
+    """A function of ``koop_study.workers.task.WORK``."""
 
     work: str
+    """Name of the function."""
     arguments: dict[str, Any]
+    """Its arguments, in JSON terms."""
     code: str = field(default_factory=fingerprint)
+    """Fingerprint of the code that decides the result."""
 
     @property
     def key(self) -> str:

@@ -34,27 +34,18 @@ class Column:
 
 @dataclass
 class Table:
-    """A table of a page; the study writes it as a CSV file, too.
-
-    Attributes
-    ----------
-    name : str
-        File name without suffix, and what sentences cite.
-    title : str
-        Caption.
-    columns : tuple of Column
-        The first one names the row.
-    rows : list of tuple
-        Cells in the order of the columns.
-    detail : bool
-        True if the report folds the table away.
-    """
+    """A table of a page; the study writes it as a CSV file, too."""
 
     name: str
+    """File name without suffix, and what sentences cite."""
     title: str
+    """Caption."""
     columns: tuple[Column, ...]
+    """The first one names the row."""
     rows: list[tuple[Cell, ...]] = field(default_factory=list)
+    """Cells in the order of the columns."""
     detail: bool = False
+    """True if the report folds the table away."""
 
     def cell(self, row: Cell, column: str) -> str:
         """Return the text of one cell; ``row`` is the content of its first column.
@@ -93,29 +84,20 @@ def _exact(cell: Cell) -> str:
 
 @dataclass(frozen=True)
 class Series:
-    """One curve.
-
-    Attributes
-    ----------
-    name : str
-        A curve and a band of the same name share a row of the legend.
-    x, y : sequence of float, shape (M,)
-        ``x`` rises or falls; NaN or None in ``y`` where there is no value.
-    kind : str
-        ``line``, ``points``, ``steps``, ``band`` (between ``y`` and ``upper``), ``bars`` (the same
-        as error bars), or ``level``: a dashed line at a value to compare with.
-    upper : sequence of float, shape (M,)
-        Upper edge; for a band and for bars only.
-    color : int
-        Position in the page's palette.
-    """
+    """One curve."""
 
     name: str
+    """A curve and a band of the same name share a row of the legend."""
     x: Sequence[float]
     y: Sequence[float | None]
+    """Shape (M,): ``x`` rises or falls; NaN or None in ``y`` where there is no value."""
     kind: str = "line"
+    """``line``, ``points``, ``steps``, ``band`` (between ``y`` and ``upper``), ``bars`` (the same
+    as error bars), or ``level``: a dashed line at a value to compare with."""
     upper: Sequence[float | None] = ()
+    """Shape (M,): upper edge; for a band and for bars only."""
     color: int = 0
+    """Position in the page's palette."""
 
 
 @dataclass(frozen=True)
