@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koop_tune.excitation.safe_range import SAFE_RANGE, SafeRangeSearch
+from koop_tune.excitation.safe_range import SAFE_RANGE, SafeRange, SafeRangeSearch
 from koop_tune.rig.rig_file import RigFile
 
 LINEAR = RigFile(
@@ -28,10 +28,15 @@ def find(rig, margin):
     return search.result(), held
 
 
-@pytest.mark.parametrize("rig", [LINEAR, WIDE])
+ROUNDS = replace(LINEAR, theta_min=-0.1, theta_max=0.3, theta_start=0.0, theta_safe=0.0)
+AGAIN = replace(LINEAR, theta_min=0.3, theta_max=1.6, theta_start=1.17, theta_safe=1.17)
+
+
+@pytest.mark.parametrize("rig", [LINEAR, WIDE, ROUNDS, AGAIN])
 def test_without_a_bound_in_reach_it_is_the_range_of_the_rig_file(rig):
     safe, held = find(rig, lambda theta: 0.8)
-    assert (safe.low, safe.high) == pytest.approx((rig.theta_min, rig.theta_max))
+    # failed before: rounding led beyond theta_max, to a bound just below it, or past theta_safe
+    assert (safe.low, safe.high) == (rig.theta_min, rig.theta_max)
     assert (safe.bound_low, safe.bound_high) == (False, False)
     assert safe.slope(rig.scale) == 0.0
     assert len(held) < 30
@@ -64,6 +69,16 @@ def test_what_breaks_all_at_once_is_broken_seldom(edge):
     assert edge - 0.1 < safe.high < edge
     assert sum(theta >= edge for theta in held) <= 6
     assert safe.low == LINEAR.theta_min
+
+
+@pytest.mark.parametrize(("rig", "theta"), [(LINEAR, (1.0, 1.5, 2.0, 2.1)), (WIDE, (1, 2, 4, 5))])
+def test_a_bound_that_was_broken_leaves_the_slope_there_in_the_limits_that_keep_it(rig, theta):
+    """Failed before: -5e11, the value that broke the bound was taken for the limit."""
+    safe = SafeRange(theta, (0.5, 0.4, 0.1, -0.05), rig.theta_min, theta[2], False, True)
+    scale = safe.narrow(rig).scale
+    u = np.log(theta) if scale.logarithmic else theta
+    assert scale.logarithmic == (rig is WIDE)
+    assert safe.slope(scale) == pytest.approx(min(np.diff(safe.margin) / np.diff(u)))
 
 
 def test_bounds_on_both_sides_leave_no_slope_to_go_by():

@@ -22,6 +22,8 @@ from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 
+ROUNDED = 1e-9  # distance of two positions that are one but for rounding, in ranges
+
 
 @dataclass(frozen=True)
 class SafeRangeSettings(Settings):
@@ -88,8 +90,10 @@ class SafeRange(NamedTuple):
         """
         if self.bound_low == self.bound_high:
             return 0.0
-        u = scale.span * scale.u(np.array(self.theta))
-        slopes = np.diff(self.margin) / np.maximum(np.diff(u), 1e-12)
+        u, margin = np.array(self.theta), np.array(self.margin)
+        if scale.logarithmic:  # what broke the bound may lie beyond 0
+            u, margin = np.log(u[u > 0.0]), margin[u > 0.0]
+        slopes = np.diff(margin) / np.maximum(np.diff(u), 1e-12)
         return float(min(slopes.min(), 0.0) if self.bound_high else max(slopes.max(), 0.0))
 
     def margin_at(self, theta: float) -> float:
@@ -135,16 +139,17 @@ class SafeRangeSearch:
     def result(self) -> SafeRange:
         """Return what is known."""
         u = sorted(self._margins)
-        ends = [self._kept(side)[-1] for side in (-1, 1)]
-        low, high = (self._scale.theta_at(end) for end in ends)
+        scale, (first, last) = self._scale, (self._kept(side)[-1] for side in (-1, 1))
+        bound_low, bound_high = first > ROUNDED, last < 1.0 - ROUNDED
         return SafeRange(
-            tuple(map(self._scale.theta_at, u)), tuple(self._margins[v] for v in u), low, high,
-            ends[0] > 0.0, ends[1] < 1.0,
+            tuple(map(scale.theta_at, u)), tuple(self._margins[v] for v in u),
+            scale.theta_at(first) if bound_low else scale.low,
+            scale.theta_at(last) if bound_high else scale.high, bound_low, bound_high,
         )  # fmt: skip
 
     def _kept(self, side: int) -> list[float]:
         """Return the positions on a side that kept the bound, from theta_safe outwards."""
-        u = sorted(v for v in self._margins if side * (v - self._begin) >= 0.0)[::side]
+        u = sorted(v for v in self._margins if side * (v - self._begin) >= -ROUNDED)[::side]
         broken = [i for i, v in enumerate(u) if self._margins[v] < 0.0]
         return u[: broken[0]] if broken else u
 
@@ -157,7 +162,7 @@ class SafeRangeSearch:
         limit = 1.0 if side > 0 else 0.0
         broken = [v for v in self._margins if self._margins[v] < 0.0 and side * (v - last) > 0.0]
         way = min([abs(limit - last), *(0.5 * abs(v - last) for v in broken)])
-        if margin < s.enough or way < (s.finest if broken else 1e-9):
+        if margin < s.enough or way < (s.finest if broken else ROUNDED):
             return None
         step = min(s.most, 2.0 * abs(kept[-1] - kept[-2])) if len(kept) > 1 else s.first
         margins = np.array([self._margins[v] for v in kept])
