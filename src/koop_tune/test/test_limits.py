@@ -124,7 +124,8 @@ def test_theta_is_kept_in_the_valley(sense):
         expected = 0.4 + side * math.log(TUNING.limits) / 5.0  # that many times the best
         assert float(EVEN.scale.u(np.array(limit))) == pytest.approx(expected, abs=0.01)
     assert "instead of 5" in actual.why_high
-    assert f"{TUNING.limits:g} times the best or worse" in actual.why_low
+    bad = f"{TUNING.limits:g} times" if sense > 0.0 else f"1/{TUNING.limits:g} of"
+    assert f"the oscillation is {bad} the best or worse" in actual.why_low
     assert limits(0.4) == (-5.0, 5.0, "", "", ())  # good everywhere
     far = limits(5.0, WIDE)  # positions are those of log theta
     assert float(WIDE.scale.u(np.array(far.high))) == pytest.approx(expected, abs=0.01)

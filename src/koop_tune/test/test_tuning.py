@@ -1,6 +1,7 @@
 """Which cost is chosen, how long its runs are, and what is written of it."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -118,6 +119,10 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     assert loop.lifter.y_out_max == 123.0
     assert loop.esc.step_size == pytest.approx(c.speed * 0.02, rel=0.005)
     assert loop.esc.theta_initial == RIG.theta_safe
+    crosses = float(re.search(r"crosses the range in (\S+) s", path.read_text())[1])
+    assert crosses == pytest.approx(1.0 / c.speed, rel=0.01)
+    slow = replace(tuning, chosen=replace(tuning.chosen, task=replace(tuning.task, rate=1e-3)))
+    assert "crosses the range in 1e+03 s" in as_text.as_parameters(of(slow), None)  # not the same
     guard = parameters.build(parameters.read(path, GUARD), GUARD)["koop_guard"][GuardConfig]
     shared = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate", "theta_safe")
     assert all(getattr(guard, name) == getattr(RIG, name) for name in shared)
@@ -160,7 +165,11 @@ def test_the_result_holds_the_map_and_the_paths_and_is_read_as_it_was_written(tu
     u, maps, fit = tuning.findings.dwells.u, tuning.findings.static_map, result.static_map
     assert fit.holds.level == pytest.approx(np.exp(valley(u)))
     assert (fit.theta_best, fit.best) == (maps.best(), pytest.approx(maps.least))
-    assert fit.valley.low < fit.theta_best < fit.valley.high
+    half = math.log(1.5) / 3.0  # failed before: 0 to 1, the limits, which are the rig's own
+    assert fit.valley == pytest.approx((0.6 - half, 0.6 + half), abs=0.05)
+    limits = ThetaLimits(0.0, 0.8)
+    narrow = summarise(of(replace(tuning, findings=replace(tuning.findings, limits=limits))))
+    assert narrow.static_map.valley == (fit.valley.low, 0.8)
     raw, lifted = result.costs
     assert raw.r.level == pytest.approx(np.exp(2.0 * valley(u)))
     assert (lifted.r, lifted.problem) == (None, "too few windows")

@@ -52,6 +52,15 @@ class MapSettings(Settings):
 MAP = MapSettings()
 
 
+def times_best(factor: float, sense: float) -> str:
+    """Return in words how far a level is from the best: below it, where it is to be large.
+
+    >>> times_best(1.5, 1.0), times_best(1.5, -1.0)
+    ('1.5 times the best', '1/1.5 of the best')
+    """
+    return f"{factor:.3g} times the best" if sense > 0.0 else f"1/{factor:.3g} of the best"
+
+
 class Interval(NamedTuple):
     """Positions from ``low`` to ``high``."""
 

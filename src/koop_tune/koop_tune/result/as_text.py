@@ -46,7 +46,7 @@ def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
         of, at = (f"{names[k]}: ", ", the others at theirs") if len(names) > 1 else ("", "")
         lines += [
             table([names[k], "amplitude", "error"], rows),
-            f"{of}best at {each.theta_best:.4g}{at}; within {MAP.good:g} times that from "
+            f"{of}best at {each.theta_best:.4g}{at}; within a factor of {MAP.good:g} of that from "
             f"{each.valley.low:.4g} to {each.valley.high:.4g}",
         ]
     useless = [name for k, name in enumerate(names) if k not in result.maps]
@@ -77,7 +77,9 @@ def as_words(tuned: KnobsTuning) -> str:
     tuning, p, names = tuned.tuning, tuned.prediction, tuned.rig.knob_names
     c, several = tuning.best.constants, len(names) > 1
     span = "of log theta's range" if tuning.findings.scale.logarithmic else "of theta's range"
-    direction = "down" if tuning.task.sense > 0 else "up"
+    direction, excess = "down", "amplitude over the best one"
+    if tuning.task.sense < 0:
+        direction, excess = "up", "best amplitude over that then"
     notes = [f"in doubt: {tuning.findings.doubt}"] if tuning.findings.doubt else []
     if (safe := tuning.findings.safe) is not None and not safe.fixed:
         best = tuning.findings.scale.theta_at(tuning.findings.static_map.best())
@@ -98,7 +100,7 @@ def as_words(tuned: KnobsTuning) -> str:
             f"predicted, from either end of the range{many} ({p.runs} runs; median, 5 to 95 %):",
             f"  converges within {p.converges.as_text()} s",
             f"  then |theta - theta*| is {p.distance.as_text(100.0)} % {span} on average",
-            f"  amplitude over the best one {p.excess.as_text()}",
+            f"  {excess} {p.excess.as_text()}",
             *[f"  amplitude {direction} by a factor of {p.reduction.as_text()}"] * (not several),
         ]
     )
@@ -151,11 +153,18 @@ def _esc(tuned: KnobsTuning) -> Parameters:
         "; ".join(why for why in dict.fromkeys(whys) if why)
         for whys in zip(*((each.why_low, each.why_high) for each in tuned.limits), strict=True)
     )
+    if rig.count == 1:
+        crosses = f"crosses the range in {rig.dt * findings.scale.span / esc.step_size:.3g} s"
+    else:
+        ways = [(knob.scaled(knob.theta_max) - knob.scaled(knob.theta_min)) / knob.step_size
+                for knob in esc.knobs()]  # fmt: skip
+        crosses = f"each goes from limit to limit within {rig.dt * max(ways):.3g} s"
     reasons = {
         "law": "of the same search",
         "theta_scale": f"theta's limits are a factor of {ratio:.3g} apart" if logarithmic
+        else "a line between knobs is not a ratio of two" if all(s.logarithmic for s in rig.scales)
         else "theta's limits are not far apart by a factor, or not above 0",
-        "step_size": f"crosses the range in {1.0 / c.speed:.3g} s; within theta_rate",
+        "step_size": f"{crosses}; within theta_rate",
         "step_ratio": "of the same search",
         "dwell": f"{c.dwell / time:.3g} times the rig's own time of {time:.3g} s",
         "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
@@ -167,6 +176,8 @@ def _esc(tuned: KnobsTuning) -> Parameters:
         "objective": OF_RIG,
         "theta_initial": "theta_safe of the rig file: from there the guard lets it command",
     }  # fmt: skip
+    if not esc.widest:
+        del reasons["widest"]
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
     if esc.constraint:
         parameters["constraint"] = (esc.constraint, OF_RIG)

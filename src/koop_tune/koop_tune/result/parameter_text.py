@@ -77,7 +77,8 @@ def list_untuned(rig: RigFile, note: Path) -> dict[str, Parameters]:
         "relay_esc": {
             "step_size": (
                 steps if rig.count > 1 else steps[0],
-                f"crosses the range in {DWELLS:g} times the dwell time of {dwell:g} s",
+                f"crosses the range in {DWELLS:g} times the dwell time of {dwell:g} s, or at "
+                "theta_rate if that takes longer",
             ),
             "theta_min": (rig.theta_min, OF_RIG),
             "theta_max": (rig.theta_max, OF_RIG),

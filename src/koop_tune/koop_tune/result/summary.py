@@ -66,7 +66,11 @@ def summarise(tuned: KnobsTuning, model: Path | None = None) -> TuneResult:
 
 def _summarise_map(findings: Findings, knob: int = 0) -> AmplitudeMap:
     maps, scale, limits = findings.static_map, findings.scale, findings.limits
-    amplitude, valley = findings.dwells.amplitude, maps.valley()
+    amplitude = findings.dwells.amplitude
+    low, high = map(scale.theta_at, maps.valley())
+    # narrower limits may leave some room beyond it
+    low = min(low, limits.low) if limits.low > scale.low else low
+    high = max(high, limits.high) if limits.high < scale.high else high
     floor = math.log(amplitude.floor) if maps.sense > 0.0 else -math.inf
     curve = (scale.theta(maps.grid), np.exp(maps.curve), maps.deviation)
     return AmplitudeMap(
@@ -76,10 +80,7 @@ def _summarise_map(findings: Findings, knob: int = 0) -> AmplitudeMap:
         scale.theta_at(maps.best()),
         maps.sense * maps.least,
         min(maps.doubt, max(maps.least - floor, 0.0)),
-        Interval(
-            min(scale.theta_at(valley.low), limits.low),
-            max(scale.theta_at(valley.high), limits.high),
-        ),
+        Interval(low, high),
         maps.motion,
         findings.period,
         findings.dwells.growth,

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from koop_core.config.knobs import format_knobs
 from koop_tune.excitation.amplitude import Amplitude, Mode
 from koop_tune.excitation.holds import mean_level
+from koop_tune.excitation.static_map import times_best
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.surrogate import BLOCKS
 from koop_tune.search.prediction import Prediction
@@ -33,8 +34,8 @@ from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSet
 
 Array = NDArray[np.float64]
 LITTLE = (
-    f"theta changes the amplitude little: at no start was it surely {CONVERGENCE.good:g} times "
-    "the best"
+    "theta changes the amplitude little: at no start was it surely worse than the best by a "
+    f"factor of {CONVERGENCE.good:g}"
 )
 
 
@@ -225,7 +226,9 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     errors = [min(value, aim.settings.unknown) for value in (error, error_before)]
     u = [knob.scale.u(path) for knob, path in zip(aim.knobs, paths, strict=True)]
     best = [knob.scale.u(np.array(knob.theta)) for knob in aim.knobs]
-    out = late[_is_beyond(aim, theta, squares.size)[half:]]
+    whole = squares.size * amplitude.windows.length / x.shape[0]  # the last one may be cut
+    path = theta[: round(whole * theta.shape[0])]
+    out = late[_is_beyond(aim, path, squares.size)[half:]]
     beyond, error_beyond = mean_level(out, amplitude.floor) if out.size > 1 else (None, 0.0)
     new, new_at = amplitude.new(powers[half:])
     return Measured(
@@ -285,10 +288,9 @@ def find_disagreements(aim: Aim, run: Measured, allowance: float = 1.0) -> list[
         outcome = "did not converge" if took is None else f"took {took:.4g} s to converge"
         worse.append(f"{outcome}, at most {late:.4g} s were predicted")
     if run.excess > p.excess.high * widened:
-        worse.append(
-            f"ended at {run.excess:.3g} times the best amplitude, at most "
-            f"{p.excess.high:.3g} were predicted"
-        )
+        most = p.excess.high
+        band = f"at most {most:.3g} were" if aim.sense > 0 else f"at least 1/{most:.3g} was"
+        worse.append(f"ended at {times_best(run.excess, aim.sense)} amplitude, {band} predicted")
     if run.reduction < p.reduction.low / widened:
         worse.append(
             f"changed the amplitude by a factor of {run.reduction:.3g}, at least "
@@ -333,8 +335,9 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
             )
         elif excess > good:
             faults.append(
-                f"near theta = {spell(run.theta)} the amplitude may be {excess:.3g} times the best "
-                f"known, {good:g} is the most"
+                f"near theta = {spell(run.theta)} the amplitude may be "
+                f"{times_best(excess, aim.sense)} known, "
+                + (f"{good:g} is the most" if aim.sense > 0 else f"1/{good:g} the least")
             )
         elif beyond > good and not all(map(_is_inside, aim.knobs, run.low, run.high)):
             low, high = (spell([knob.valley[end] for knob in aim.knobs]) for end in (0, 1))
@@ -347,13 +350,13 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         f"of the time, {100.0 * aim.settings.broken:g} % is the most"
         for run in runs if run.broken > aim.settings.broken
     ]  # fmt: skip
+    if len(runs) > 1 and max(_least_before(aim, run) for run in runs) <= good:
+        faults.append(LITTLE)
     # of all starts together, as one of them may have begun at the best and one falls by chance
     gain, error = sum(math.log(run.reduction) for run in runs), math.hypot(*(r.error for r in runs))
     if len(runs) > 1 and gain <= aim.settings.errors * error:
         verb = "fall" if aim.sense > 0 else "rise"
         faults.append(f"over all starts the amplitude does not {verb} by more than its error")
-    if len(runs) > 1 and max(_least_before(aim, run) for run in runs) <= good:
-        faults.append(LITTLE)
     for run in runs:
         if math.log(run.reduction) < -aim.settings.errors * run.error - math.log(good):
             faults.append(f"the amplitude is worse than before by {1.0 / run.reduction:.3g}")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from koop_tune.excitation.safe_range import SafeRange
-from koop_tune.excitation.static_map import Cliff, StaticMap
+from koop_tune.excitation.static_map import Cliff, StaticMap, times_best
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.search.settings import TUNING, TuningSettings
@@ -77,9 +77,8 @@ def limit_theta(
             reason = _describe_cliff(cliff, static_map.sense, scale.theta_at)
         else:
             u = edge
-            reason = f"beyond {scale.theta_at(edge):.4g} the oscillation is " + (
-                f"{settings.limits:.3g} times the best or worse"
-            )
+            bad = times_best(settings.limits, static_map.sense)
+            reason = f"beyond {scale.theta_at(edge):.4g} the oscillation is {bad} or worse"
         u = max(u, best + least) if end else min(u, best - least)
         u += side * max(side * motion, 0.0)
         if not 0.0 < u < 1.0:

@@ -60,7 +60,7 @@ class Prediction:
     excess : Band
         Amplitude then over the best one (its inverse where it is to be large).
     reduction : Band
-        Amplitude at the start over the amplitude then (its inverse), from the worse end.
+        Amplitude at the start over the amplitude then (its inverse).
     duration : float
         Length of a run [s]; the second half counts as converged.
     runs : int

@@ -166,14 +166,17 @@ def refuse_undamped(prediction: Prediction, findings: Findings) -> None:
     excess, late = prediction.excess, prediction.converges
     if excess.middle <= CONVERGENCE.good and math.isfinite(late.middle):
         return
+    ends = f"{excess.as_text()} times the best amplitude"
+    if findings.static_map.sense < 0.0:
+        ends = f"the best amplitude over {excess.as_text()}"
     low, high = findings.scale.theta(np.array(findings.static_map.valley()))
     best = f"{findings.scale.theta_at(findings.static_map.best()):.4g}"
     if findings.static_map.motion:  # or a hysteresis that looks like one
         best = f"theta_safe (best was {best}, which moves)"
     raise NoOptimum(
         "undamped",
-        f"with the best constants of the search the loop is predicted to end at {excess.as_text()} "
-        f"times the best amplitude and to converge in {late.as_text()} s, on the rig that the "
+        f"with the best constants of the search the loop is predicted to end at {ends} and to "
+        f"converge in {late.as_text()} s, on the rig that the "
         f"recording shows; the valley reaches from {low:.4g} to {high:.4g}: leave theta at "
         f"{best}, or set theta_min and theta_max closer around the valley and record again",
         findings,
