@@ -158,6 +158,8 @@ def _by_theta(
     pairs = [
         (i, j) for i in range(len(inside)) for j in range(len(inside)) if energy[i] > energy[j]
     ]
+    if not pairs:  # in each bin there is a window in which nothing moves
+        raise np.linalg.LinAlgError("no bin oscillates more than another")
     i, j = max(pairs, key=lambda pair: sum(separation(pair[0], pair[1], half) for half in (0, 1)))
     return _extremes(covariances[inside[i]], covariances[inside[j]])[:, -1], inside[j]
 

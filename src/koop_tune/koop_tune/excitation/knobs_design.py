@@ -40,7 +40,7 @@ from koop_tune.excitation.design import (
     Move,
 )
 from koop_tune.excitation.holds import Hold, Level, usual_wander
-from koop_tune.excitation.static_map import StaticMap
+from koop_tune.excitation.static_map import MAP, StaticMap
 from koop_tune.rig.rig_file import RigFile
 
 Array = NDArray[np.float64]
@@ -225,8 +225,9 @@ class KnobsDesign:
     def _has_effect(self, knob: int) -> bool:
         """Return whether a section shows an effect: a trend does before its scatter does."""
         section = self.section(knob)
-        trend = np.polyval(np.polyfit(section.u, section.mean, 2, w=1.0 / section.error), section.u)
-        left = float((((section.mean - trend) / section.error) ** 2).sum())
+        error = np.maximum(section.error, MAP.least_error)  # as of the section's chi-squared
+        trend = np.polyval(np.polyfit(section.u, section.mean, 2, w=1.0 / error), section.u)
+        left = float((((section.mean - trend) / error) ** 2).sum())
         sure = section.chi_squared - left > KNOBS.trend
         return not section.flat or (sure and float(np.ptp(trend)) > KNOBS.gain)
 
