@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,10 +16,13 @@ from koop_tune.excitation.amplitude import window_length
 from koop_tune.excitation.bowl import fit_bowl
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN
 from koop_tune.excitation.knobs_design import KnobsDesign, RecordedHold
+from koop_tune.excitation.static_map import StaticMap
+from koop_tune.result.as_text import list_parameters
 from koop_tune.result.summary import summarise
-from koop_tune.rig_model.dwells import DWELLS
+from koop_tune.rig_model.dwells import DWELLS, find_dwells
+from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.settings import TuningSettings
-from koop_tune.search.tune_knobs import cut_section, tune_knobs
+from koop_tune.search.tune_knobs import KnobsTuning, cut_section, tune_knobs
 
 KNOBS = replace(
     RIG, command="/b:z[0],z[1]", theta_min=(-1.0, 0.1), theta_max=(3.0, 10.0), theta_rate=0.5,
@@ -81,9 +85,23 @@ def test_the_optimum_of_coupled_knobs_is_found_though_it_lies_on_no_line_through
         assert np.abs(off - np.median(off))[near].max() < 0.2
 
 
-def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled):
+def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled, monkeypatch):
     rig, design, _ = coupled
+
+    def grows(part, scale, *rest):  # along one of the knobs it is seen to take longer
+        return replace(find_dwells(part, scale, *rest), growth=70.0 if scale.low < 0.0 else 90.0)
+
+    monkeypatch.setattr("koop_tune.search.tune_knobs.find_dwells", grows)
     tuning = tune_knobs(rig.loaded, KNOBS, design.lines, TRAINING, design.amplitude, SETTINGS)
+    assert summarise(tuning).make_aim(KNOBS).growth == 90.0  # failed before: of one section only
+    reason = list_parameters(tuning, None)["relay_esc"]["step_size"][1]
+    assert reason.startswith("each goes from limit to limit within ")
+    within = float(reason.split(" s;")[0].split()[-1])
+    ways = np.ptp([tuning.esc.theta_min, tuning.esc.theta_max], axis=0)
+    assert within == pytest.approx(ways / tuning.esc.step_size * DT, rel=0.01)
+    assert (
+        "widest" not in list_parameters(tuning, None)["relay_esc"]
+    )  # failed before: [], "follows"
     limits = tuning.limits
     for knob, one in enumerate(KNOBS.knobs()):
         best = one.scale.theta_at(design.base[knob])
@@ -255,6 +273,24 @@ def test_a_section_is_found_out_again_where_windows_became_longer(monkeypatch):
     least = DESIGN.brief * design.windows.length
     for holds in design.sections.values():
         assert len({hold.u for hold in holds if hold.size >= least}) >= DWELLS.values
+
+
+def test_a_section_in_which_a_coarse_sensor_reads_one_value_has_no_effect():
+    """Failed before: an error of NumPy's, of weights that are infinite."""
+    design, u = KnobsDesign(KNOBS), np.linspace(0.0, 1.0, 7)
+    for level, effect in ((0.0 * u, False), (0.5 * u, True)):
+        design.section = lambda knob, y=level: StaticMap(u, y, 0.0 * u)
+        assert design._has_effect(0) == effect
+
+
+def test_a_loop_of_several_knobs_lasts_until_it_should_have_converged():
+    """Failed before: "did not converge, at most 280 s were predicted", of a loop of 200 s."""
+    band = Band(10.0, 40.0, 70.0)
+    one = SimpleNamespace(prediction=Prediction(band, band, band, band, 100.0, 32))
+    prediction = KnobsTuning(KNOBS, 0, one, {0: None, 1: None}, {}, [], None).prediction
+    assert (prediction.converges.high, prediction.duration) == (280.0, 280.0)
+    one.prediction = replace(one.prediction, converges=Band(10.0, 20.0, 30.0))
+    assert KnobsTuning(KNOBS, 0, one, {0: None, 1: None}, {}, [], None).prediction.duration == 200.0
 
 
 def test_where_no_knob_has_an_effect_that_is_said():

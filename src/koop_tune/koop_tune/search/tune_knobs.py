@@ -80,14 +80,16 @@ class KnobsTuning:
         One direction after another is sought along, each twice as long as one knob alone, for the
         first that it finds are not yet the valley's (paper's plant, median IAE of one knob 255, of
         two 989, of four 1953: 2 n times). What each adds to the amplitude adds up. What the other
-        knobs reduce is not predicted.
+        knobs reduce is not predicted. A loop lasts at least until it should have converged.
         """
         p, n = self.tuning.prediction, len(self.sections)
         if self.rig.count == 1:
             return p
+        converges = _scaled(p.converges, 2 * n if n > 1 else 1)
+        late = converges.high if math.isfinite(converges.high) else 0.0
         return Prediction(
-            _scaled(p.converges, 2 * n if n > 1 else 1), p.distance, _power(p.excess, n),
-            Band(0.0, 1.0, math.inf), n * p.duration, p.runs,
+            converges, p.distance, _power(p.excess, n), Band(0.0, 1.0, math.inf),
+            max(n * p.duration, late), p.runs,
         )  # fmt: skip
 
 
@@ -147,6 +149,10 @@ def tune_knobs(
         others = ", ".join(f"{other} = {theta:.4g}" for other, theta in there if other != name)
         text = f"over {name}, which shows the optimum best, with {others}: {no}"
         raise NoOptimum(no.kind, text, no.findings, knob) from None
+    # along another knob it may have needed longer to grow
+    growth = max(each.growth for each in dwells.values())
+    held = replace(tuning.findings.dwells, growth=growth)
+    tuning = replace(tuning, findings=replace(tuning.findings, dwells=held))
     for k in sections:
         if k != knob:
             _refuse_astray(tuning, parts[k], dwells[k], sections[k], rig.knob_names[k], settings)
