@@ -146,6 +146,22 @@ def test_a_file_of_the_recording_that_goes_meanwhile_is_not_counted(tmp_path):
     assert "recording, 1.5 MB" in text
 
 
+@pytest.mark.parametrize(
+    ("parameters", "rig"),
+    [
+        ({"koopman_lifter": {}}, "measured state"),
+        ({"koopman_lifter": {"measured": "/a:x"}}, "measured /a:x"),
+        ({"vdp_plant": {}, "koopman_lifter": {}}, "the simulated plant"),
+        ({"koop_guard": {"measured": "/a:x", "command": "/b:z"}}, "measured /a:x, command /b:z"),
+        # failed before: who asked for the status ended the loop
+        ({"koop_guard": {"command": "/b:z"}}, "measured state:x[0], command /b:z"),
+    ],
+)
+def test_a_status_names_the_rig_also_by_defaults(tmp_path, parameters, rig):
+    text = describe_loop(Progress(), [], parameters, tmp_path, False, 1.0)
+    assert f"\n  rig: {rig}\n" in text
+
+
 def test_a_loop_that_stands_still_gives_a_sign_of_life_only_if_a_node_of_it_says_why(
     tmp_path, monkeypatch
 ):

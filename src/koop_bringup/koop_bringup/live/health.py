@@ -14,6 +14,7 @@ from koop_bringup.live.monitor import Progress
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import Settings, parameter
 from koop_core.stream.report import WARN
+from koop_guard.config import GuardConfig
 
 
 @dataclass(frozen=True)
@@ -77,12 +78,11 @@ def describe_loop(
     """
     guard = values.get("koop_guard")
     status = progress.values.get("koop_guard", {}).get("status", "not heard yet")
-    lifter = values.get("koopman_lifter", {})
-    rig = "the simulated plant"
-    if "vdp_plant" not in values:
-        rig = f"measured {guard['measured'] if guard else lifter.get('measured', 'state')}"
+    rig = f"measured {values.get('koopman_lifter', {}).get('measured', 'state')}"
     if guard is not None:
-        rig += f", command {guard['command']}"
+        rig = f"measured {guard.get('measured', GuardConfig.measured)}, command {guard['command']}"
+    elif "vdp_plant" in values:
+        rig = "the simulated plant"
     theta = format_knobs(progress.theta)
     size = 0
     for file in (folder / "bag").glob("*"):
