@@ -55,6 +55,13 @@ def test_what_no_controller_says_is_not_kept(memory):
         assert memory().recall() == ({}, "")
 
 
+def test_bytes_that_another_program_sets_end_no_loop(memory, capsys):
+    """Failed before: the loop ended with a traceback."""
+    memory().keep(progress(BEGIN, relay_esc={"dwell": [b"\0"]}))
+    assert "not JSON serializable: a restart begins at theta_initial" in capsys.readouterr().err
+    assert memory().recall() == ({}, "")
+
+
 def test_what_was_set_while_the_loop_ran_outlives_two_restarts(memory):
     first = {"relay_esc": {"dwell": 0.5, "theta_max": 2.0, "listeners": "x"}, "other": {"a": 1}}
     memory().keep(progress(BEGIN, **first))

@@ -94,7 +94,7 @@ class Memory:
         self._written, self._time = content, time.monotonic()
         try:
             write_json(self._path, content)
-        except LiveError as error:
+        except (LiveError, TypeError) as error:  # another program may have set a parameter to bytes
             print(f"\nnote: {error}: a restart begins at theta_initial", file=sys.stderr)
             self._path = None
 
