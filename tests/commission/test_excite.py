@@ -17,7 +17,6 @@ from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.plan import Plan
-from koop_commission.rig.graph import identify_publishers
 from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.excite import read_holds
@@ -26,6 +25,7 @@ from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_guard.note import find_theta, note_of
 from koop_node.client.client import Client
+from koop_node.node.graph import identify_publishers
 from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
 
@@ -139,12 +139,12 @@ def test_an_excitation_that_is_interrupted_or_loses_its_guard_goes_on(
     # the next command goes on from there, but not if the rig was started again
     note, topic = note_of(rig_yaml), RIG.measured_source.topic
     with Client("looks") as client:
-        wait(lambda: client.spin(0.1) or identify_publishers(client, topic), "the rig")
-        first = identify_publishers(client, topic)
+        wait(lambda: client.spin(0.1) or identify_publishers(client.node, topic), "the rig")
+        first = identify_publishers(client.node, topic)
         wait(lambda: find_theta(note, RIG, first) == ((RIG.theta_safe,), ""), "the note")
         again = FastRig()
         try:
-            other = lambda: client.spin(0.1) or identify_publishers(client, topic) - first  # noqa: E731
+            other = lambda: client.spin(0.1) or identify_publishers(client.node, topic) - first  # noqa: E731
             theta, words = find_theta(note, RIG, wait(other, "the other rig"))
         finally:
             again.close()

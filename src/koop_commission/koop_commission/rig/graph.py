@@ -64,12 +64,6 @@ def find_nodes(client: Client, topic: str) -> tuple[tuple[str, ...], tuple[str, 
     )
 
 
-def identify_publishers(client: Client, topic: str) -> set[str]:
-    """Return an id of each publisher of a topic; a program that was started again has another."""
-    infos = client.node.get_publishers_info_by_topic(topic)
-    return {bytes(info.endpoint_gid).hex() for info in infos}
-
-
 def describe_other_commanders(client: Client, rig: RigFile) -> str:
     """Return in words that others command the rig; empty: none does."""
     for source in rig.command_sources:

@@ -12,6 +12,7 @@ import numpy as np
 from koop_commission.fitness.samples import Samples
 from koop_core.config.fields import Path, Source, read_field
 from koop_node.client.client import Client
+from koop_node.node.stamps import to_seconds
 
 
 class Listener:
@@ -83,11 +84,10 @@ class Listener:
 
     def _on_message(self, message: Any) -> None:
         self.last = message
-        stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
-        seconds = stamp.sec + 1e-9 * stamp.nanosec if hasattr(stamp, "nanosec") else 0.0
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
         step = getattr(message, "step", -1)
         self._arrival.append(time.monotonic())
-        self._stamp.append(seconds)
+        self._stamp.append(to_seconds(stamp))
         self._step.append(step if isinstance(step, int) else -1)
         self._x.extend(read_field(path, message) for path in self.source.fields)
 

@@ -19,7 +19,6 @@ from koop_commission.rig.graph import (
     describe_other_commanders,
     describe_second_rig,
     find_types,
-    identify_publishers,
 )
 from koop_commission.rig.guarded_theta import GuardedTheta
 from koop_commission.rig.listener import Listener
@@ -30,6 +29,7 @@ from koop_core.errors import LiveError
 from koop_guard.note import find_theta
 from koop_loop.ending import describe_end
 from koop_node.client.client import Client
+from koop_node.node.graph import identify_publishers
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile, state_source
 
 COST, COST_TYPE = "/cost", "koop_msgs/msg/Cost"
@@ -64,9 +64,8 @@ class Session:
         note: Path | None = None,
     ) -> None:
         self.client, self.listener = client, listener
-        theta, remark = find_theta(
-            note, rig, identify_publishers(client, rig.measured_source.topic)
-        )
+        publishers = identify_publishers(client.node, rig.measured_source.topic)
+        theta, remark = find_theta(note, rig, publishers)
         if remark:
             print(remark, flush=True)
         self.theta = GuardedTheta(client, rig, command_types, theta)

@@ -26,7 +26,13 @@ from koop_guard.note import Keeper, Note, find_theta, read
 from koop_node.client.question import Question
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
-from koop_node.node.graph import Listeners, full_name, publishers_of, subscribers_of
+from koop_node.node.graph import (
+    Listeners,
+    full_name,
+    identify_publishers,
+    publishers_of,
+    subscribers_of,
+)
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, KEPT, RELIABLE
 from koop_node.node.stamps import to_seconds
@@ -88,8 +94,7 @@ class GuardRun(Run):
         def listen(name: str, kinds: Sequence[str]) -> None:
             state = message_type(name, source.fields)
             self._counts_steps = state is MeasuredState
-            infos = publishers_of(self._node, source.topic)
-            self._ids = sorted(bytes(info.endpoint_gid).hex() for info in infos)
+            self._ids = sorted(identify_publishers(self._node, source.topic))
             theta, remark = find_theta(config.note, config, self._ids)
             if remark:
                 self._node.get_logger().warning(remark)

@@ -69,6 +69,11 @@ def publishers_of(node: Node, topic: str) -> list[Any]:
     return list(node.get_publishers_info_by_topic(topic))
 
 
+def identify_publishers(node: Node, topic: str) -> set[str]:
+    """Return an id of each publisher of a topic; a program that was started again has another."""
+    return {bytes(info.endpoint_gid).hex() for info in publishers_of(node, topic)}
+
+
 def subscribers_of(node: Node, topic: str) -> list[Any]:
     """Return the subscriptions of a topic by nodes that do not hide as observers."""
     return [info for info in node.get_subscriptions_info_by_topic(topic) if _visible(info)]
