@@ -716,6 +716,8 @@ def test_a_twin_that_cannot_be_replaced_at_once_is_later(start, probe, states):
     probe.collect(Float64, "/knob")
     state = probe.node.create_publisher(MeasuredState, "state", 10)
     probe.spin_until(lambda: state.publish(MeasuredState(x=[random()])) or states, "the guard")
+    # by then it has the descriptors of its own entities
+    assert not probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
     first, limit = twin(), resource.prlimit(main, resource.RLIMIT_NOFILE)
     resource.prlimit(main, resource.RLIMIT_NOFILE, (3, limit[1]))  # none is left
     os.kill(first, signal.SIGKILL)

@@ -12,6 +12,7 @@ from typing import IO
 
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Trip
+from koop_guard.node.memory_file import open_memory_file
 from koop_node.process.lifeline import VARIABLE
 
 OF_US = (VARIABLE, "NOTIFY_SOCKET")  # in the environment, not for others
@@ -45,8 +46,7 @@ class Alarm:
         environment = {name: value for name, value in os.environ.items() if name not in OF_US}
         environment |= {f"KOOP_ALARM_{name}": value for name, value in facts.items()}
         try:
-            # a pipe would fill up, and a disk may be full: that may be what has failed
-            said = open(os.memfd_create("on_alarm"), "w+b")  # noqa: SIM115 - check() closes it
+            said = open_memory_file("on_alarm")  # a pipe would fill up
             process = subprocess.Popen(
                 shlex.split(config.on_alarm), env=environment, stdin=subprocess.DEVNULL,
                 stdout=said, stderr=said, start_new_session=True,

@@ -26,6 +26,7 @@ from typing import Any
 from koop_core.config.knobs import MOST
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard
+from koop_guard.node.memory_file import open_memory_file
 from koop_guard.note import TWIN, Note, leave, read
 from koop_node.client.alone import claimed
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
@@ -73,7 +74,7 @@ class Twin:
     """The twin, seen from the guard; it is ready a while after :meth:`prepare`."""
 
     def __init__(self) -> None:
-        with open(os.memfd_create("theta"), "wb") as file:  # a disk may be full
+        with open_memory_file("theta") as file:
             file.truncate(_SIZE)
             self.shared = SharedTheta(file.fileno())
             self.process = subprocess.Popen(
