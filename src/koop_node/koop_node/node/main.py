@@ -118,19 +118,24 @@ def _spin(
             if ended[0] is not nodes[-1]:
                 ended[0].get_logger().error("has ended: the other nodes end with it")
                 code = code or 1
-        for node in reversed(nodes):  # speakers end before those who listen to them
-            node.close()
+    except Exception:
+        timers.asked = signal.SIGTERM  # no orderly end: a guard returns theta, whatever on_end says
+        raise
     finally:
-        house.end()
-        # Under a launch file Ctrl-C comes twice, and the interpreter, when it ends, puts back the
-        # default handler, which would kill the process; an ignored signal stays ignored.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        for node in nodes:
-            executor.remove_node(node)
-            node.destroy_node()
-        executor.shutdown()
-        rclpy.try_shutdown()
+        try:
+            for node in reversed(nodes):  # speakers end before those who listen to them
+                node.close()
+        finally:
+            house.end()
+            # Under a launch file Ctrl-C comes twice, and the interpreter, when it ends, puts back
+            # the default handler, which would kill the process; an ignored signal stays ignored.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            for node in nodes:
+                executor.remove_node(node)
+                node.destroy_node()
+            executor.shutdown()
+            rclpy.try_shutdown()
     return code
 
 
