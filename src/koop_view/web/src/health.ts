@@ -136,6 +136,8 @@ export interface Situation {
   loop: LoopState | undefined;
 }
 
+const NO_LOOP = "This recording holds no loop. Foxglove and Lichtblick show its topics.";
+
 /** One line: is my loop healthy? */
 export function verdict(s: Situation): Judgement {
   const { loop } = s;
@@ -147,6 +149,7 @@ export function verdict(s: Situation): Judgement {
       "the loop may still be running. Reconnecting.";
     return { level: "error", text };
   }
+  if (s.recorded && !loop) return { level: "off", text: NO_LOOP };
   if (s.recorded) return { level: "off", text: describeRecording(s, last) };
   if (!loop) return { level: "off", text: "No loop is running yet. It is shown once it runs." };
   if (loop.ended && s.about) {

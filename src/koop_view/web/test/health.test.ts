@@ -231,3 +231,9 @@ test("a commanded theta is neither sought nor held", () => {
     /^At rest/,
   );
 });
+
+test("a recording without a loop is not waited for", () => {
+  const other = { ...healthy, recorded: true, read: 0, loop: undefined, rows: [] };
+  assert.match(verdict(other).text, /^This recording holds no loop/);
+  assert.match(verdict({ ...other, loop: seeking }).text, /^Reading the recording: 0 messages/);
+});
