@@ -96,6 +96,17 @@ def test_a_setting_without_effect_is_refused(settings: dict[str, object], messag
             "table a: unknown cost 'row': did you mean 'raw'",
         ),
         ("experiment: cases\ntitle: A\ntext: B\ncosts: {}\ntables: []", "tables: needs at least"),
+        ("experiment: [modes]", r"unknown experiment \['modes'\]"),
+        (
+            "experiment: cases\ntitle: A\ntext: B\ncosts: {raw: {cost: raw}}\n"
+            "tables: [{name: a, title: A, parameters: [esc.dwell], grid: [5.0]}]",
+            "must be a list for each parameter",
+        ),
+        (
+            "experiment: cases\ntitle: A\ntext: B\ncosts: {raw: {cost: raw}}\n"
+            "settings: {duration: long}\ntables: [{name: a, title: A}]",
+            "duration = 'long': must be above 0",
+        ),
         (
             "experiment: cases\ntitle: A\ntext: B\ncosts: {raw: {cost: raw, plant.mu: -1}}\n"
             "tables: [{name: a, title: A}]",
@@ -103,7 +114,7 @@ def test_a_setting_without_effect_is_refused(settings: dict[str, object], messag
         ),
     ],
 )
-def test_an_experiment_of_settings_without_effect_is_refused_before_it_runs(
+def test_an_experiment_that_cannot_work_is_refused_before_it_runs(
     text: str, message: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "x.yaml"

@@ -59,6 +59,8 @@ class CaseTable:
     def __post_init__(self) -> None:
         for path in (*self.parameters, *self.settings):
             check_path(path)
+        if not all(isinstance(values, list) for values in self.grid):
+            raise ConfigError(f"grid = {list(self.grid)}: must be a list for each parameter")
         for value in self.varied():
             override(Case(), self.assign(value))
 

@@ -60,7 +60,7 @@ def read(path: Path, quick: bool) -> Experiment:
     changes = mapping(content.pop("quick", {}), "quick")
     content = {**content, **changes} if quick else content
     kind = content.pop("experiment", None)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise ConfigError(f"{path}: unknown experiment {kind!r}: {nearest(str(kind), KINDS)}")
     experiment = Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
     for unit in experiment.units():

@@ -34,8 +34,8 @@ class Case:
     def __post_init__(self) -> None:
         if self.cost not in COSTS:
             raise ConfigError(f"cost = {self.cost!r}: must be one of {', '.join(COSTS)}")
-        if not 0.0 < self.duration <= 1e6:
-            raise ConfigError(f"duration = {self.duration}: must be above 0 and at most 1e6 s")
+        if not (isinstance(self.duration, int | float) and 0.0 < self.duration <= 1e6):
+            raise ConfigError(f"duration = {self.duration!r}: must be above 0 and at most 1e6 s")
 
     @property
     def steps(self) -> int:
