@@ -165,6 +165,21 @@ def test_a_torn_bag_is_read_up_to_its_last_complete_chunk_wherever_it_is_torn(wr
     assert counts[-1] > 2000
 
 
+def test_a_file_that_lost_power_left_empty_hides_no_other(write_loop):
+    folder = write_loop(n=700, split_bytes=50_000)
+    *others, last = sorted(folder.glob("*.mcap"), key=lambda path: int(path.stem.split("_")[-1]))
+    with BagReader(folder) as reader:
+        expected = list(reader.messages())
+    with BagReader(last) as reader:
+        lost = reader.message_count
+    last.write_bytes(b"")
+    with BagReader(folder) as reader:
+        assert not reader.complete
+        assert list(reader.messages()) == expected[:-lost]
+    assert others
+    assert lost
+
+
 def test_a_damaged_chunk_is_reported_and_never_decoded(write_loop):
     folder = write_loop(n=600, compression="none")
     path = folder / "run_0.mcap"

@@ -1,6 +1,7 @@
 """Which files a bag is made of."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from koop_bag.errors import BagError, compressed
@@ -31,6 +32,21 @@ def find_files(path: Path) -> list[Path]:
                     f"{folder} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"
                 )
         raise BagError(f"{path} is not a bag: it contains no .mcap file")
+
+
+def leave_out_empty(files: Sequence[Path]) -> list[Path]:
+    """Return the files in which anything was written.
+
+    A machine that loses its power may leave the last file of a recording empty.
+    """
+    return [path for path in files if not _is_empty(path)]
+
+
+def _is_empty(path: Path) -> bool:
+    try:
+        return path.stat().st_size == 0
+    except OSError:  # it is not there any more: what opens it says so
+        return False
 
 
 def _number(path: Path) -> tuple[int, str]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from mcap.opcode import Opcode
 
 from koop_bag.bag.contents import FileContents, message_records, survey
-from koop_bag.bag.files import find_files
+from koop_bag.bag.files import find_files, leave_out_empty
 from koop_bag.bag.metadata import (
     check_messages_plain,
     custom_texts,
@@ -67,7 +67,7 @@ class BagReader(AbstractContextManager["BagReader"]):
         self.message_count = 0
         self._contents: list[FileContents] = []
         with ExitStack() as opened:
-            for file in self.files:
+            for file in leave_out_empty(self.files) or self.files:
                 self._contents.append(survey(opened.enter_context(closing(McapFile(file)))))
                 self._take_in(self._contents[-1])
             described: dict[Any, Any] = {}
@@ -75,7 +75,9 @@ class BagReader(AbstractContextManager["BagReader"]):
                 described = self.description
             check_messages_plain(described, self.path)
             self._files = opened.pop_all()
-        self.complete = all(item.file.complete for item in self._contents)
+        self.complete = len(self._contents) == len(self.files) and all(
+            item.file.complete for item in self._contents
+        )
         filled = [item for item in self._contents if any(item.counts.values())]
         self.topics = tuple(self._topics.values())
         self.start_time = min((item.start for item in filled), default=0)

@@ -9,7 +9,7 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from koop_bag.bag.files import find_files
+from koop_bag.bag.files import find_files, leave_out_empty
 from koop_bag.bag.metadata import (
     check_messages_plain,
     custom_texts,
@@ -46,7 +46,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         If there is no bag at `source`, if rosbag2 compressed it, or if there is a bag at `target`
         already.
     """
-    files = [path for path in find_files(Path(source)) if path.stat().st_size]
+    files = leave_out_empty(find_files(Path(source)))
     if not files:
         raise BagError(f"{source} holds only empty files: there is nothing to recover")
     with ExitStack() as stack:
