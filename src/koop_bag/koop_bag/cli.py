@@ -61,7 +61,7 @@ def _info(args: argparse.Namespace) -> int:
     with BagReader(args.bag) as reader:
         info = describe(reader)
     if args.json:
-        print(json.dumps(dataclasses.asdict(info), indent=1))
+        print(json.dumps(dataclasses.asdict(info), indent=1, default=str))
     else:
         print(as_text(info, args.parameters))
     return 0

@@ -51,7 +51,9 @@ def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tm
                 if topic != "/ground_truth" or k < 10:
                     now = START + k * PERIOD
                     writer.write(channel, now, now, messages.loop(topic, k, model_id="abc"))
-        writer.custom_data["parameters"] = "/esc:\n  ros__parameters:\n    gain: 2.5\n"
+        writer.custom_data["parameters"] = (
+            "/esc:\n  ros__parameters:\n    gain: 2.5\n    since: 2026-01-02\n"
+        )
     code, text, _ = koop("info", folder, "--parameters")
     assert code == 0
     assert "complete" in text
@@ -59,7 +61,7 @@ def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tm
     _, text, _ = koop("info", folder, "--json")
     actual = json.loads(text)
     assert actual["model_ids"] == ["abc"]
-    assert actual["parameters"] == {"/esc": {"gain": 2.5}}
+    assert actual["parameters"] == {"/esc": {"gain": 2.5, "since": "2026-01-02"}}
     assert actual["messages"] == 3 * 19 + 10
     topics = {topic["name"]: topic for topic in actual["topics"]}
     assert topics["/state"]["steps"] | {"count": 0} == {

@@ -6,7 +6,6 @@ https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
 from __future__ import annotations
 
 import json
-import math
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -254,8 +253,9 @@ def _encode(operation: str, **content: Any) -> str:
 
 
 def _parameter(name: str, value: Any) -> dict[str, Any]:
-    """Return a parameter; an unset one has no value, and infinity is a text in JSON."""
-    numbers = value if isinstance(value, list) else [value]
-    is_finite = all(math.isfinite(item) for item in numbers if isinstance(item, float))
-    value = value if is_finite else str(value)
+    """Return a parameter; an unset one has no value, and infinity or a date is a text in JSON."""
+    try:
+        json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError):
+        value = str(value)
     return {"name": name} if value is None else {"name": name, "value": value}

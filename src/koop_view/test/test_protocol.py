@@ -3,6 +3,7 @@
 import json
 import struct
 from contextlib import suppress
+from datetime import date
 
 import pytest
 from hypothesis import given, settings
@@ -59,6 +60,8 @@ def test_a_call_is_read_and_one_cut_short_refused():
     [
         ([1.0, 2.0], {"value": [1.0, 2.0]}),
         (float("inf"), {"value": "inf"}),  # JSON has no word for it
+        (date(2026, 1, 2), {"value": "2026-01-02"}),  # as YAML reads the record of a bag
+        ({"a": [float("nan")]}, {"value": "{'a': [nan]}"}),
         (None, {}),
     ],
 )
