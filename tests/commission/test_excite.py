@@ -6,6 +6,7 @@ import re
 import signal
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,16 +60,19 @@ def assert_walked(moved, rig):
     assert theta[-1] == rig.theta_safe
 
 
+def session_of(rig, client, nodes):
+    source = rig.measured_source
+    listener = Listener(client, source.topic, TYPES[0], source.fields)
+    return Session(rig, client, listener, TYPES[1:], nodes)
+
+
 def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path):
     reason = r"data\[0\] = 99 is beyond its limit 8 at theta = -\S+: if .* narrow theta_min and"
     told = []
     nodes = LiveNodes(tmp_path, Plan({GUARD: guard_section(SLOW, None)}, rig=True))
     with Client("koop_test") as client, nodes:
         client.node.create_subscription(Float64, SLOW.command_sources[0].topic, told.append, 1000)
-        listener = Listener(
-            client, SLOW.measured_source.topic, TYPES[0], SLOW.measured_source.fields
-        )
-        session = Session(SLOW, client, listener, TYPES[1:], nodes)
+        session = session_of(SLOW, client, nodes)
         with session.command_theta():
             session.theta.go([-1.0])
             session.wait_until(lambda: fast_rig.theta < -0.8)
@@ -79,6 +83,28 @@ def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path):
     assert_walked(fast_rig.moved, SLOW)
     theta = [message.data for message in told]
     assert np.abs(np.diff(theta)).max() <= SLOW.theta_rate * LATE
+
+
+def test_where_theta_may_be_elsewhere_the_reason_is_told_too(fast_rig, tmp_path):
+    """Failed before: only that theta_safe was not seen in time."""
+    nodes = LiveNodes(tmp_path, Plan({GUARD: guard_section(RIG, None)}, rig=True))
+
+    def lose_guard_and_twin(session):
+        with session.command_theta():
+            session.go([-1.0])
+            guard = nodes.process_ids()[GUARD]
+            os.kill(guard, signal.SIGSTOP)
+            for twin in Path(f"/proc/{guard}/task/{guard}/children").read_text().split():
+                os.kill(int(twin), signal.SIGKILL)
+            os.kill(guard, signal.SIGKILL)
+            session.wait_until(lambda: False)
+
+    with Client("koop_test") as client, nodes:
+        session = session_of(RIG, client, nodes)
+        reason = r"koop_guard was killed by signal 9\. theta may not be at theta_safe = 1: timed"
+        with pytest.raises(LiveError, match=reason):
+            lose_guard_and_twin(session)
+    assert fast_rig.theta == -1.0
 
 
 def whole(bag):

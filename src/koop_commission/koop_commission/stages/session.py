@@ -85,6 +85,7 @@ class Session:
         koop_core.errors.LiveError
             If it ends early, or theta may not be at theta_safe.
         """
+        reason = ""
         try:
             self.theta.go(self.theta.value)
             self.client.wait_for(
@@ -94,13 +95,17 @@ class Session:
             try:
                 yield
             except LiveError as error:
+                reason = f"{error}. "
                 where = f"theta was returned to theta_safe = {self._rig.spell('theta_safe')}"
-                raise LiveError(f"{error}. {where}") from error
+                raise LiveError(f"{reason}{where}") from error
         finally:
             with uninterrupted():
                 self._bar.close()
                 self._nodes.stop_guard()
-                self.theta.wait_until_safe()
+                try:
+                    self.theta.wait_until_safe()
+                except LiveError as error:
+                    raise LiveError(f"{reason}{error}") from None
 
     def silenced(self, seconds: float) -> AbstractContextManager[None]:
         """Command nothing for at most so many seconds; end the session afterwards."""
