@@ -5,10 +5,12 @@ from contextlib import ExitStack
 
 import pytest
 
+from koop_core.config.parameter import ConfigError
 from koop_node.process.domain import (
     DOMAINS,
     FIRST_PORT,
     PORTS,
+    current_domain,
     free_domain,
     hold_domain,
     only_observed,
@@ -44,3 +46,12 @@ def test_a_participant_takes_its_domain(monkeypatch, reach):
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
     with Client("somebody", domain):
         assert not only_observed(domain)
+
+
+@pytest.mark.parametrize("text", ["233", "-1", "seven"])  # 232 is the last that has ports
+def test_a_domain_that_there_is_not_is_refused(text, monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
+    with pytest.raises(ConfigError, match=f"'{text}': must be a whole number from 0 to 232"):
+        current_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", "232")
+    assert current_domain() == 232

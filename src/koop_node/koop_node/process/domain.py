@@ -12,6 +12,7 @@ from pathlib import Path
 from koop_core.config.parameter import ConfigError
 
 DOMAINS = range(1, 102)  # beyond, the ports would be those that the system hands out
+LAST = 232  # that has ports
 FIRST_PORT = 7400  # of domain 0 (DDSI-RTPS 9.6.1)
 PORTS = 250  # of each domain
 DAEMON = b"ros2cli.daemon"  # in the command line of ros2cli's daemon
@@ -20,8 +21,8 @@ DAEMON = b"ros2cli.daemon"  # in the command line of ros2cli's daemon
 def current_domain() -> int:
     """Return the domain of the environment; raise ConfigError if it is not a number."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
-    if not text.isdecimal():
-        raise ConfigError(f"ROS_DOMAIN_ID = {text!r}: must be a whole number from 0 to 101")
+    if not text.isdecimal() or int(text) > LAST:
+        raise ConfigError(f"ROS_DOMAIN_ID = {text!r}: must be a whole number from 0 to {LAST}")
     return int(text)
 
 
