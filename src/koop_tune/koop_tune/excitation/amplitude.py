@@ -403,9 +403,15 @@ def choose_amplitude(
 
 
 def whole_amplitude(windows: Windows, x: Array) -> Amplitude:
-    """Return the amplitude of everything, from samples, shape (M, n): what reacts is unknown."""
-    variance = np.maximum(bridge_gaps(x).var(axis=0), 1e-300)
-    weight = np.repeat(1.0 / variance[:, None], windows.frequency.size, axis=1) / variance.size
+    """Return the amplitude of everything, from samples, shape (M, n): what reacts is unknown.
+
+    A channel that stands still has no unit.
+    """
+    x = bridge_gaps(x)
+    variance = x.var(axis=0)
+    moves = variance > (TINY * np.abs(x).max(axis=0)) ** 2
+    unit = np.where(moves, 1.0 / np.maximum(variance, 1e-300), 0.0)
+    weight = np.repeat(unit[:, None], windows.frequency.size, axis=1) / variance.size
     return Amplitude(windows, weight, 0.0, math.sqrt(TINY), np.full(weight.shape, math.inf))
 
 
