@@ -16,6 +16,7 @@ from koop_loop.metrics import LOGGING_START, Metrics, evaluate
 from koop_loop.parameters import LoopParameters
 from koop_loop.settings import METRICS
 from koopman_lifter.model import KoopmanModel
+from relay_esc.config import EscConfig
 
 SETTLING = LOGGING_START  # [s] before r counts: the paper's transient
 UNLIMITED = 1e6  # limits of a theta that is held
@@ -25,11 +26,9 @@ def settled(
     parameters: LoopParameters, model: KoopmanModel | None, theta: float
 ) -> NDArray[np.float64]:
     """Return r at constant ``theta`` over one period of the damping drift, without transient."""
-    plant, esc = parameters.plant.knob(0, coupling=()), parameters.esc.knob(0)
+    plant = parameters.plant.knob(0, coupling=())
     held = min(max(theta, plant.theta_min), plant.theta_max)  # what the actuator can reach
-    still = replace(
-        esc, theta_initial=held, step_size=0.0, theta_min=-UNLIMITED, theta_max=UNLIMITED
-    )
+    still = EscConfig(theta_initial=held, step_size=0.0, theta_min=-UNLIMITED, theta_max=UNLIMITED)
     drift = plant.drift_frequency
     period = 2.0 * np.pi / drift if drift > 0.0 else METRICS.without_drift
     steps = round((SETTLING + period) / plant.dt)

@@ -44,6 +44,21 @@ def test_limits_of_the_controller_do_not_move_the_map():
     assert performance(limited, None, t, theta, r) == performance(free, None, t, theta, r)
 
 
+@pytest.mark.parametrize(
+    "controller",
+    [
+        {"law": "adaptive", "widest": (-6.0, 6.0)},
+        {"theta_scale": "log", "theta_min": 0.1},
+        {"law": "adaptive", "begin": (1.0, 1.0, *13 * [0.0])},
+    ],
+)
+def test_the_map_is_of_the_plant_alone(controller):
+    """Failed before: refused, refused, and at the theta from which the controller goes on."""
+    free = make({"vdp_plant": {"drift_frequency": 0.0}, "koopman_lifter": {"cost": "raw"}})
+    sought = replace(free, esc=replace(free.esc, **controller))
+    assert np.array_equal(settled(sought, None, 3.0), settled(free, None, 3.0))
+
+
 def test_the_map_of_an_actuator_that_cannot_reach_the_optimum_ends_at_its_limit():
     values = {"vdp_plant": {"theta_min": -1.0}, "koopman_lifter": {"cost": "raw"}}
     limited = make(values)
