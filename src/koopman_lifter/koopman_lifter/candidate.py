@@ -42,6 +42,7 @@ from koopman_lifter.contrast import (
     with_band,
     with_contrast,
 )
+from koopman_lifter.delays import units
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.settings import CANDIDATE
@@ -211,9 +212,8 @@ def amplitudes(windows: NDArray[np.float64], frequency: float) -> NDArray[np.flo
     """
     length = windows.shape[2]
     taper = np.blackman(length) * np.exp(-2j * math.pi * frequency * np.arange(length))
-    usual = windows.std(axis=(0, 2))
     centred = windows - windows.mean(axis=2, keepdims=True)
-    lines = np.abs(centred @ taper) / np.where(usual > 0.0, usual, 1.0)
+    lines = np.abs(centred @ taper) / units(windows, (0, 2))
     return np.asarray(np.sqrt((lines**2).sum(axis=1)))
 
 

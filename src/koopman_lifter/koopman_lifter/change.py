@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 
 from koop_core.errors import InputError
 from koop_core.kernels import direct, njit
-from koopman_lifter.delays import dominant_period, window_powers
+from koopman_lifter.delays import dominant_period, units, window_powers
 from koopman_lifter.settings import COST, WATCH
 
 SEGMENTS = 4  # of a window, two periods each: their phases are quarters of a turn
@@ -365,7 +365,7 @@ class Watch:
         dt = float(cursor[1]) * self._dt
         try:
             period = dominant_period([rows.T], dt)
-        except InputError:  # nothing moves
+        except InputError:  # nothing moves, or as in every window
             cursor[0] = 0
             return
         if FITS * period > size // LOOKED * dt:
@@ -373,7 +373,7 @@ class Watch:
             cursor[0], cursor[1] = size // 2, 2 * cursor[1]
             return
         self._follow_line(1.0 / period)
-        self._scale = np.maximum(rows.std(axis=0), TINY)
+        self._scale = units(rows, 0)
         self._last = self._most = self._power()
 
     def _follow_line(self, frequency: float) -> None:

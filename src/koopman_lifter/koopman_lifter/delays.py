@@ -19,6 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from koop_core.errors import InputError
 from koopman_lifter.settings import LEARNING
 
+ROUNDED = 1e-12  # deviation over the largest value, up to which a channel stands still
+
 
 @dataclass(frozen=True)
 class Delays:
@@ -115,26 +117,39 @@ def dominant_period(segments: Sequence[NDArray[np.float64]], dt: float) -> float
     Raises
     ------
     koop_core.errors.InputError
-        If there are too few samples, or no channel moves.
+        If there are too few samples, no channel moves, or no power varies.
     """
     sizes = np.sort([segment.shape[1] for segment in segments])[::-1]
     half = sizes[np.searchsorted(np.cumsum(sizes), 0.5 * sizes.sum())] if sizes.size else 0
     length = int(min(half, sizes.sum() // 20))
-    deviation = np.hstack(list(segments)).std(axis=1) if segments else np.zeros(1)
-    if length < 32 or not (deviation > 0.0).any():
+    unit = units(np.hstack(list(segments)), 1) if segments else np.full(1, math.inf)
+    moving = np.isfinite(unit)
+    if length < 32 or not moving.any():
         raise InputError(
             f"{sizes.sum():.0f} samples are too few, or do not move: no period is found to choose "
             "the spacing of delays or the length of windows by"
         )
-    moving = deviation > 0.0
-    powers = [
-        window_powers(segment[moving] / deviation[moving, None], length) for segment in segments
-    ]
+    powers = [window_powers(segment[moving] / unit[moving, None], length) for segment in segments]
     low, high = np.quantile(np.hstack(powers), [0.1, 0.9], axis=1)
     peak = 2 + int(np.argmax((high - low)[2:-1]))
     around = slice(peak - 1, peak + 2)  # the window function spreads a line over three bins
-    bins = np.arange(high.size)[around]
-    return float(length * dt / np.average(bins, weights=(high - low)[around]))
+    bins, varied = np.arange(high.size)[around], (high - low)[around]
+    if not varied.sum() > 0.0:
+        raise InputError(
+            "nothing in the samples varies from window to window: no period is found to choose the "
+            "spacing of delays or the length of windows by"
+        )
+    return float(length * dt / np.average(bins, weights=varied))
+
+
+def units(x: NDArray[np.float64], axis: int | tuple[int, ...]) -> NDArray[np.float64]:
+    """Return the standard deviation of each channel; infinite for one that stands still.
+
+    ``axis`` is that of the samples. What rounding makes of a constant is no unit.
+    """
+    deviation = x.std(axis=axis)
+    largest = np.maximum(x.max(axis=axis, initial=0.0), -x.min(axis=axis, initial=0.0))
+    return np.where(deviation > ROUNDED * largest, deviation, math.inf)
 
 
 def window_powers(x: NDArray[np.float64], length: int) -> NDArray[np.float64]:

@@ -136,6 +136,13 @@ def test_spacing_and_degree_are_chosen():
     for nothing in ([], [np.ones((2, 5000))], [x[:, :500]]):
         with pytest.raises(ValueError, match="too few"):
             dominant_period(nothing, DT)
+    still = np.full((1, 5000), 81.2822027)  # failed before: rounding moved it, and division by zero
+    with pytest.raises(ValueError, match="do not move"):
+        dominant_period([still], DT)
+    beside = dominant_period([np.vstack([x[:1], np.full((1, t.size), 81.2822027)])], DT)
+    assert beside == dominant_period([x[:1]], DT)
+    with pytest.raises(ValueError, match="nothing in the samples varies"):  # failed before, too
+        dominant_period([np.arange(4080.0)[None] % 12], DT)
     assert [embedded_degree(n) for n in (1, 2, 7, 8, 14, 15, 40)] == [3, 3, 3, 2, 2, 1, 1]
 
 
