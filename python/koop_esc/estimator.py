@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import index
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from koop_core.errors import InputError
 from koopman_lifter.edmd import Gram
-from koopman_lifter.model import KoopmanModel, build
+from koopman_lifter.model import LONGEST, KoopmanModel, build
 from koopman_lifter.observables import Monomials
 
 
@@ -67,19 +68,20 @@ class EDMD(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         """Add another trajectory, shape (M, n), and identify the model from all of them."""
         first = not hasattr(self, "_gram")
         states = validate_data(self, X, dtype=np.float64, reset=first, ensure_min_samples=2)
-        if not self.dt > 0.0:
-            raise InputError(f"dt = {self.dt:g}: must be above 0 s")
+        if not 0.0 < self.dt < LONGEST:
+            raise InputError(f"dt = {self.dt:g}: must be above 0 and below {LONGEST:g} s")
         if first:
             samples, n = states.shape
-            if (p := math.comb(n + self.degree, n)) >= samples:  # before there is room for them
+            degree = index(self.degree)  # of NumPy's integers no model file is written
+            if (p := math.comb(n + degree, n)) >= samples:  # before there is room for them
                 raise InputError(
                     f"{samples} samples (rows) of {n} channels (columns) cannot determine {p} "
                     "observables: transpose the array, record for longer or lower the degree"
                 )
-            self._gram = Gram.empty(Monomials(n, self.degree))
+            self._gram = Gram.empty(Monomials(n, degree))
         self._gram.add_trajectory(states.T)
         names = tuple(f"x{i}" for i in range(states.shape[1]))
-        self.model_: KoopmanModel = build(self._gram, self.dt, names, self.modes, {})
+        self.model_: KoopmanModel = build(self._gram, self.dt, names, index(self.modes), {})
         self.eigenvalues_ = self.model_.eigenvalues
         return self
 

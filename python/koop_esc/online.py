@@ -5,6 +5,7 @@ They call what the nodes call, sample by sample, and give the same bits.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from koop_core.errors import InputError
 from koop_core.kernels import direct
-from koop_core.stream.arrival import Arrival
+from koop_core.stream.arrival import SHORTEST_DT, Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
@@ -37,6 +38,8 @@ class Cost:
 
     def __init__(self, model: KoopmanModel | EDMD, **settings: Any) -> None:
         model = getattr(model, "model_", model)
+        if not isinstance(model, KoopmanModel):
+            raise InputError(f"{model} is not a model, or not fitted yet: call its fit() first")
         config = LifterConfig(dt=model.dt, **settings)
         self._source, self._lifting = config.source, model.lifting()
         self._params, self._state = config.detector_params(), cost.initial()
@@ -49,9 +52,15 @@ class Cost:
         return self._source, self._lifting, self._params, self._state, *now
 
     def step(self, x: ArrayLike) -> float:
-        """Return the cost r after the next measured state, shape (n,); NaN where it is unusable."""
+        """Return the cost r after the next measured state, shape (n,); NaN where it is unusable.
+
+        Raises ValueError if the state has another number of values than the model's.
+        """
+        state = np.ravel(x)
+        if state.size != self._x.size:
+            raise InputError(f"the state has {state.size} values, the model needs {self._x.size}")
         self._step += 1
-        self._x[:] = x
+        self._x[:] = state
         arrival = Arrival.NEXT if self._step else Arrival.RESTART
         r, _, _, self._state = self._answer(*self._arguments(arrival))
         return float(r)
@@ -63,7 +72,7 @@ class Seeker:
     Parameters
     ----------
     dt : float
-        Time between two costs [s].
+        Time between two costs [s], at least 1e-6.
     settings
         Fields of :class:`relay_esc.config.EscConfig`: ``law="adaptive"``, ``theta_min``,
         ``theta_max``, ``theta_initial``, ``step_size``, ``dwell`` and so on; a tuple of limits or
@@ -80,9 +89,11 @@ class Seeker:
     """
 
     def __init__(self, dt: float, **settings: Any) -> None:
-        if not dt > 0.0:
-            raise InputError(f"dt = {dt:g}: must be above 0 s")
+        if not SHORTEST_DT <= dt < math.inf:
+            raise InputError(f"dt = {dt:g}: must be a number of at least {SHORTEST_DT:g} s")
         config = EscConfig(**settings)
+        if config.margin_slope:
+            raise InputError("margin_slope: a Seeker is told no margin, so it keeps no such bound")
         self._params, self._knobs = config.knob(0).params(dt), config.knob_limits(dt)
         self._arrival, begin = int(Arrival.RESTART), config.initial_directions()
         self._answer = direct(directions.answer, *self._arguments(begin, 0.0))  # changes its arrays

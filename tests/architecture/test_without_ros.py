@@ -56,10 +56,19 @@ check_estimator(koop_esc.EDMD(degree=1))
 MISTAKES = """
 import numpy as np
 from koop_esc import EDMD, Cost, Seeker
+x = np.random.default_rng(0).standard_normal((90, 2))
+edmd = EDMD(degree=1, modes=2, dt=0.01).fit(x)
+of_numpy = EDMD(degree=np.int64(1), modes=np.int64(2), dt=np.float64(0.01)).fit(x)
+assert of_numpy.model_.model_id == edmd.model_.model_id  # no JSON of its integers, before
 for call, words in (
     (lambda: EDMD(dt=0.01).fit(np.zeros((2, 9000))), "2 samples (rows) of 9000 channels (columns)"),
-    (lambda: EDMD(dt=0.0).fit(np.zeros((90, 2))), "dt = 0: must be above 0 s"),
-    (lambda: Seeker(0.0), "dt = 0: must be above 0 s"),
+    (lambda: EDMD(dt=0.0).fit(np.zeros((90, 2))), "dt = 0: must be above 0 and below"),
+    (lambda: EDMD(dt=np.inf).fit(np.zeros((90, 2))), "dt = inf: must be above 0 and below"),
+    (lambda: Cost(EDMD()), "not fitted yet"),
+    (lambda: Cost(edmd).step(1.0), "the state has 1 values, the model needs 2"),  # as 1.0, 1.0
+    (lambda: Seeker(0.0), "dt = 0: must be a number of at least 1e-06 s"),
+    (lambda: Seeker(1e-300), "dt = 1e-300: must be a number"),
+    (lambda: Seeker(0.01, margin_slope=-0.5), "keeps no such bound"),
 ):
     try:
         call()
@@ -67,8 +76,6 @@ for call, words in (
         assert words in str(error), error
     else:
         raise AssertionError(words)
-x = np.random.default_rng(0).standard_normal((90, 2))
-edmd = EDMD(degree=1, modes=2, dt=0.01).fit(x)
 both = Cost(edmd), Cost(edmd.model_)
 assert all(np.equal(*(cost.step(row) for cost in both)) for row in x)
 """

@@ -30,6 +30,7 @@ from koopman_lifter.observables import Monomials
 FORMAT = "koopman-model"
 VERSION = 1
 MAX_DEPTH = 1_000_000  # samples that a delay line can hold
+LONGEST = 1e6  # [s] that dt is below
 MAX_BYTES = 64 * 2**20  # p = 1000 observables need 40 MB; anything larger is not a model
 
 _ARRAYS = {  # entry: (dtype, shape in terms of p observables, N kept modes and R rows)
@@ -337,7 +338,7 @@ def _described(
     except (KeyError, TypeError, ValueError, OverflowError):
         raise ModelError("its meta entry is incomplete") from None
     fits = 1 <= n <= 4096 and 1 <= degree <= 16 and len(state_names) * count == n
-    if not (fits and 0.0 < dt < 1e6 and 1 <= every * count <= MAX_DEPTH):
+    if not (fits and 0.0 < dt < LONGEST and 1 <= every * count <= MAX_DEPTH):
         raise ModelError("its meta entry is inconsistent")
     if math.comb(n + degree, n) > 4096:
         raise ModelError("has too many observables")
