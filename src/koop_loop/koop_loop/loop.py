@@ -177,7 +177,7 @@ def check_fit(
         raise InputError(f"dt differs: plant {plant.dt}, lifter {lifter.dt} s")
     if plant.count != esc.count:
         raise InputError(f"the plant has {plant.count} knobs, the controller {esc.count}")
-    if plant.theta_initial != esc.theta_initial:
+    if plant.each("theta_initial") != esc.each("theta_initial"):
         raise InputError(
             f"theta_initial differs: plant {plant.theta_initial}, esc {esc.theta_initial}"
         )

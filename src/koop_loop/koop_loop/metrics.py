@@ -26,7 +26,7 @@ class Metrics:
     """First time with |theta - theta*| below the tolerance [s]; None if never."""
     e_r_ss: float | None
     """|mean r over the last 30 % - r*| / (max r - min r) [-], r* from ``koop_loop.static_map``;
-    None without an r* or a range."""
+    None without an r*, a range or a cost in those 30 %."""
     tail_error: float
     """Mean |theta - theta*| over the last 30 %."""
 
@@ -75,8 +75,9 @@ def evaluate(
     logged_r = r[logged][np.isfinite(r[logged])]
     span = float(np.ptp(logged_r)) if logged_r.size else 0.0
     e_r_ss = None
-    if r_star is not None and span > 0.0:
-        e_r_ss = abs(float(np.nanmean(r[logged][tail])) - r_star) / span
+    last_r = np.where(np.isfinite(r), r, np.nan)[logged][tail]
+    if r_star is not None and span > 0.0 and not np.isnan(last_r).all():
+        e_r_ss = abs(float(np.nanmean(last_r)) - r_star) / span
     return Metrics(
         float(error.sum() * dt),
         float((error**2).sum() * dt),

@@ -126,6 +126,16 @@ def test_parts_that_do_not_belong_together_are_refused(change, message):
         simulate(**parts, steps=10)
 
 
+def test_one_number_for_all_knobs_is_what_a_list_of_it_is():
+    """Failed before: theta_initial differs: plant 2.0, esc (2.0, 2.0)."""
+    plant, lifter = PlantConfig(theta_star=(-3.0, 1.0)), LifterConfig(cost="raw")
+    each, all_of_them = (
+        simulate(plant, lifter, EscConfig(theta_initial=begin, theta_min=(-5.0, -4.0)), None, 50)
+        for begin in ((2.0, 2.0), 2.0)
+    )
+    np.testing.assert_array_equal(each.theta, all_of_them.theta)
+
+
 def test_training_again_gives_the_shipped_model():
     again, shipped = train(PlantConfig(), TrainingConfig()), load(shipped_model())
     assert again.provenance == shipped.provenance

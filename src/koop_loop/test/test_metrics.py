@@ -48,6 +48,14 @@ def test_costs_that_are_not_numbers_are_left_out():
     t = np.arange(50_000) * DT
     r = np.linspace(0.0, 1.0, t.size)
     whole = evaluate(t, np.zeros(t.size), r, -3.0, r_star=0.0)
-    r[[25_000, 25_001, 45_000]] = np.nan
+    r[[25_000, 25_001, 45_000]] = np.nan, np.nan, np.inf  # failed before: infinite
     holes = evaluate(t, np.zeros(t.size), r, -3.0, r_star=0.0)
     assert holes.e_r_ss == pytest.approx(whole.e_r_ss, abs=1e-4)  # one of 9000 values of the tail
+
+
+def test_a_run_that_loses_its_cost_has_no_settled_one():
+    """Failed before: NaN, for which JSON has no word."""
+    t = np.arange(50_000) * DT
+    r = np.linspace(0.0, 1.0, t.size)
+    r[25_000:] = np.nan
+    assert evaluate(t, np.zeros(t.size), r, -3.0, r_star=0.0).e_r_ss is None
