@@ -241,6 +241,37 @@ def test_runs_of_several_loops_and_folders_without_a_run_are_refused(week, tmp_p
     assert "Traceback" not in error
 
 
+def test_a_damaged_bag_is_named_and_the_others_are_reported(tmp_path, capsys):
+    for run, begin in enumerate((0, 60, 120)):
+        with BagWriter(tmp_path / f"2026010{run + 1}T000000Z-mine" / "bag") as writer:
+            channel = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+            for k in range(3000):
+                time = (BEGIN + begin) * 10**9 + k * 10**7
+                message = MeasuredState(step=k, x=[np.sin(2.0 * np.pi * k / 100)])
+                writer.write(channel, time, time, serialize_message(message))
+    files = sorted(tmp_path.rglob("*.mcap"))
+    data = bytearray(files[1].read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 64] = bytes(64)
+    files[1].write_bytes(data)
+    files[2].write_bytes(b"of no bag")
+    assert main(["report", str(tmp_path)]) == 0
+    told, notes = capsys.readouterr()
+    assert "2 runs" in told
+    panels, text = read_page(tmp_path / "history.html")
+    times = np.array(panels["Amplitude"]["series"][1]["x"])
+    assert times.min() < BEGIN + 30
+    assert BEGIN + 60 < times.max() < BEGIN + 90  # what stands before the damage
+    for words in ("is damaged: ", "`koop bag recover` saves the rest", "is not an MCAP file"):
+        assert words in notes
+        assert words in text
+    for file in files:
+        file.write_bytes(b"of no bag")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "holds no recording with a message in it; " in (error := capsys.readouterr().err)
+    assert "is not an MCAP file" in error
+
+
 @pytest.mark.parametrize(("width", "dark"), [(390, True), (1280, False)])
 def test_the_page_is_drawn_by_a_browser(week, width, dark, tmp_path):
     assert main(["report", str(week)]) == 0

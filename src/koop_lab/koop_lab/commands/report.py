@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ def main(args: argparse.Namespace) -> int:
     path.write_text(make_page(histories), encoding="utf-8")
     for history in histories:
         print("\n".join(write_sentences(history)))
+    print("".join(f"note: {text}\n" for text in histories[0].damaged), end="", file=sys.stderr)
     print(f"written to {path}")
     return 0
 

@@ -41,9 +41,8 @@ def make_page(histories: Sequence[History]) -> str:
     runs = histories[0].runs
     begin, end = runs[0].begin, max(run.end for run in runs)
     title = f"Report from {_at(begin, DAY)} to {_at(end, DAY)}"
-    verdict = "".join(
-        f"<p>{html.escape(text)}</p>" for item in histories for text in write_sentences(item)
-    )
+    sentences = [text for item in histories for text in write_sentences(item)]
+    verdict = "".join(f"<p>{html.escape(text)}</p>" for text in [*sentences, *histories[0].damaged])
     body = [
         f"<h1>{title}</h1>",
         f'<div class="verdict">{verdict}</div>',

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -87,19 +87,31 @@ class History:
     health: list[HealthMessage]
     models: list[tuple[float, str]]
     """Time [s since the epoch] from which on a model served the cost."""
+    damaged: list[str]
+    """In words, the recordings of all loops that could not be read to their end."""
 
 
 @dataclass
 class _Parts:
     """Parts gathered while runs are read, by loop or topic."""
 
-    width: float
-    start: int
+    width: float = SHORT
+    start: int = 0
     rows: dict[str, list[Rows]] = field(default_factory=dict)
     guard: dict[tuple[str, float], GuardMessage] = field(default_factory=dict)
     health: dict[tuple[str, float], HealthMessage] = field(default_factory=dict)
     models: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
     channels: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    damaged: dict[Path, str] = field(default_factory=dict)
+
+    @contextmanager
+    def note_damage(self, bag: Path) -> Iterator[None]:
+        """Note where a bag turns out to be damaged: the others are reported."""
+        try:
+            yield
+        except BagError as error:
+            why = f"{bag} is left out, or a part of it: {error}; a whole bag in its place is read"
+            self.damaged.setdefault(bag, why)
 
     def add(self, loop: str, rows: Rows, models: Sequence[str]) -> None:
         """Take seconds of a loop."""
@@ -124,7 +136,7 @@ class _Parts:
 
 
 def read_history(paths: Sequence[Path], since: float | None = None) -> list[History]:
-    """Read the runs of a loop, or of several namespaces.
+    """Read the runs of a loop, or of several namespaces, as far as their bags are whole.
 
     Parameters
     ----------
@@ -135,23 +147,22 @@ def read_history(paths: Sequence[Path], since: float | None = None) -> list[Hist
 
     Raises
     ------
-    koop_bag.errors.BagError
-        If a recording cannot be read.
     koop_core.errors.InputError
-        If there is none, or runs of loops of other names.
+        If there is no recording that can be read, or if runs are of loops of other names.
     """
-    runs = sorted((_look_at(folder) for folder in find_runs(paths)), key=lambda run: run.begin)
-    runs = [run for run in runs if run.end > 0.0]
+    parts = _Parts()
+    runs = [_look_at(folder, parts) for folder in find_runs(paths)]
+    runs = sorted((run for run in runs if run.end > 0.0), key=lambda run: run.begin)
     if not runs:
-        raise InputError(f"{paths[0]}: holds no recording with a message in it")
+        raise _refuse(f"{paths[0]}: holds no recording with a message in it", parts)
     end = max(run.end for run in runs)
     start = math.floor(min(run.begin for run in runs) if since is None else end - since)
     runs = [replace(run, begin=max(run.begin, start)) for run in runs if run.end > start]
-    parts = _Parts(SHORT if end - start < LONG else FINE, start * SECOND)
+    parts.width, parts.start = SHORT if end - start < LONG else FINE, start * SECOND
     for run in runs:
         _read_run(run, parts)
     if not parts.rows:
-        raise InputError(f"{paths[0]}: its recordings hold no state of a loop")
+        raise _refuse(f"{paths[0]}: its recordings hold no state of a loop", parts)
     return [_make_history(loop, parts, runs) for loop in sorted(parts.rows)]
 
 
@@ -175,10 +186,17 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
     return folders
 
 
-def _look_at(folder: Path) -> RunSpan:
+def _refuse(why: str, parts: _Parts) -> InputError:
+    return InputError("; ".join([why, *[*parts.damaged.values()][:1]]))
+
+
+def _look_at(folder: Path, parts: _Parts) -> RunSpan:
     begin, end, closed = np.inf, 0.0, True
     for name in (SUMMARY, BAG):
-        with suppress(BagError), BagReader(folder / name) as bag:
+        path = folder / name
+        if not path.is_dir():
+            continue
+        with parts.note_damage(path), BagReader(path) as bag:
             if bag.message_count:
                 begin, end = min(begin, bag.start_time * 1e-9), max(end, bag.end_time * 1e-9)
             closed = bag.complete
@@ -187,9 +205,11 @@ def _look_at(folder: Path) -> RunSpan:
 
 def _read_run(run: RunSpan, parts: _Parts) -> None:
     start = parts.start
-    if (run.folder / SUMMARY).is_dir():
-        with BagReader(run.folder / SUMMARY) as bag:
-            _read_events(bag, parts, start)
+    path = run.folder / SUMMARY
+    if path.is_dir():
+        with parts.note_damage(path), BagReader(path) as bag:
+            with parts.note_damage(path):
+                _read_events(bag, parts, start)
             tables = {
                 topic.name: COLUMNS
                 for topic in bag.topics
@@ -199,10 +219,15 @@ def _read_run(run: RunSpan, parts: _Parts) -> None:
                 loop = topic.rpartition("/")[0]
                 parts.add(loop, from_columns(columns), columns["model_id"].tolist())
                 start = max(start, int(columns["header.stamp"][-1]) + SECOND)
-    with BagReader(run.folder / BAG) as bag:
-        _read_events(bag, parts, start)
-        for loop, seconds in _seconds_of(bag, start).items():
-            parts.add(loop, from_seconds(seconds), [second.model_id for second in seconds])
+    path = run.folder / BAG
+    with parts.note_damage(path), BagReader(path) as bag:
+        with parts.note_damage(path):
+            _read_events(bag, parts, start)
+        seconds: dict[str, list[LoopSecond]] = {}
+        with parts.note_damage(path):
+            _take_seconds(bag, start, seconds)
+        for loop, of_loop in seconds.items():
+            parts.add(loop, from_seconds(of_loop), [second.model_id for second in of_loop])
         for loop in parts.rows.keys() - parts.channels.keys():
             with suppress(KoopError, KeyError):
                 values = recorded_values(bag, loop or "/")
@@ -210,14 +235,13 @@ def _read_run(run: RunSpan, parts: _Parts) -> None:
                 parts.channels[loop] = source.names
 
 
-def _seconds_of(bag: BagReader, start: int) -> dict[str, list[LoopSecond]]:
-    """Return the seconds of each loop, from a time on, out of a recording at full rate."""
+def _take_seconds(bag: BagReader, start: int, seconds: dict[str, list[LoopSecond]]) -> None:
+    """Append the seconds of each loop, from a time on, out of a recording at full rate."""
     made, channels = Seconds(), {}
     for number, topic in enumerate(bag.topics):
         if topic.type_name in FIELDS and topic.count:
             made.watch(number, topic.name, topic.type_name, topic.definition)
             channels[topic.name] = number
-    seconds: dict[str, list[LoopSecond]] = {}
 
     def take(finished: Iterator[LoopSecond]) -> None:
         for second in finished:
@@ -230,7 +254,6 @@ def _seconds_of(bag: BagReader, start: int) -> dict[str, list[LoopSecond]]:
             last = message.log_time
             take(made.finish(last))
     take(made.finish())
-    return seconds
 
 
 def _read_events(bag: BagReader, parts: _Parts, start: int) -> None:
@@ -264,4 +287,5 @@ def _make_history(loop: str, parts: _Parts, runs: list[RunSpan]) -> History:
     health = [message for (node, _), message in parts.health.items()
               if node.rpartition("/")[0] == loop]  # fmt: skip
     guard, models = parts.guard_of(loop), parts.models[loop]
-    return History(loop, channels, rows, runs, guard, sorted(health), models)
+    damaged = list(parts.damaged.values())
+    return History(loop, channels, rows, runs, guard, sorted(health), models, damaged)
