@@ -1,15 +1,17 @@
 """A loop answers at the name that holds its place; only its user may stop it."""
 
 import os
+import socket
 import subprocess
 import sys
 import threading
+from contextlib import ExitStack
 
 import pytest
 
 from koop_core.errors import LiveError
 from koop_node.client.alone import PREFIX, claimed
-from koop_node.client.desk import STATUS, STOP, Desk, ask, find_loops
+from koop_node.client.desk import MOST, STATUS, STOP, Desk, ask, find_loops
 
 ANSWER = {"healthy": True, "text": "all is well"}
 STRANGER = """
@@ -67,11 +69,33 @@ def test_a_loop_says_how_it_is_until_it_is_stopped(name, loop):
 
 
 def test_who_asks_nothing_keeps_nobody_waiting(name, loop):
-    import socket
-
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as silent:
-        silent.connect(f"\0{name}")
+    with ExitStack() as stack:
+        for _ in range(3 * MOST):
+            silent = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            stack.enter_context(silent).connect(f"\0{name}")
         assert ask(name, STATUS)["healthy"]
+        assert len(loop.desk._asking) <= MOST
+        assert ask(name, STOP)["text"] == "theta is left at 1"
+
+
+def test_a_question_waits_while_the_queue_of_a_loop_is_full(name):
+    with claimed(name) as (_, place), ExitStack() as stack:
+        desk, over = Desk(place), threading.Event()
+        for _ in range(MOST + 1):  # one more than the backlog
+            silent = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            stack.enter_context(silent).connect(f"\0{name}")
+
+        def answer():
+            while not over.wait(0.2):  # as a loop that does something else, too
+                desk.answer(lambda: ANSWER)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            assert ask(name, STATUS)["healthy"]
+        finally:
+            over.set()
+            thread.join()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root is also another user")

@@ -10,6 +10,7 @@ import json
 import os
 import socket
 import struct
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +20,7 @@ from koop_core.errors import LiveError
 from koop_node.client.alone import PREFIX
 
 STATUS, STOP = "status", "stop"
-MOST = 16  # that are answered at a time
+MOST = 16  # that are answered at a time, and that may be connected without a question
 LONGEST = 65536  # [B] of an answer
 PATIENCE = 5.0  # [s] for an answer to ``status``
 _CREDENTIALS = struct.Struct("3i")  # of unix(7): process, user, group
@@ -42,7 +43,7 @@ class Desk:
     def answer(self, describe: Callable[[], dict[str, Any]]) -> bool:
         """Answer all that asked; return whether one that may do so asked to stop."""
         with suppress(BlockingIOError):
-            while len(self._asking) < MOST:
+            for _ in range(MOST):
                 asking, _ = self._place.accept()
                 asking.setblocking(False)
                 self._asking.append(asking)
@@ -61,6 +62,9 @@ class Desk:
             else:
                 refused = {"refused": "its user or root may stop it"}
                 _say(asking, describe() if question == STATUS else refused)
+        for silent in self._asking[:-MOST]:  # the oldest: they keep nobody out
+            silent.close()
+        del self._asking[:-MOST]
         return stop
 
     def close(self, words: str) -> None:
@@ -100,7 +104,7 @@ def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str
         loop.settimeout(patience)
         process = user = 0
         try:
-            loop.connect(f"\0{name}")
+            _connect(loop, f"\0{name}", patience)
             process, user = credentials(loop)
             loop.send(question.encode())
             data = loop.recv(LONGEST)
@@ -116,3 +120,16 @@ def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str
         raise LiveError("ended without a word: theta is left to guard and twin, see its logs")
     answer: dict[str, Any] = json.loads(data)
     return {**answer, "pid": process, "user": user}
+
+
+def _connect(loop: socket.socket, address: str, patience: float | None) -> None:
+    """Connect, also where more programs connect at a time than the loop lets wait."""
+    deadline = time.monotonic() + (patience or 0.0)
+    while True:
+        try:
+            loop.connect(address)
+            return
+        except BlockingIOError:  # the timeout of a socket does not cover this
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.01)
