@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from koop_commission.fitness.arrivals import Rhythm
+from koop_commission.fitness.arrivals import Rhythm, measure_rhythm
 from koop_commission.fitness.fitness import (
     BAD,
     NOTE,
@@ -41,7 +41,7 @@ RIG = RigFile(
     "/a:x,y", "/b:z", DT, -1.0, 3.0, 0.5, 2.0, 0.5,
     channel_max=(5.0, 6.0),
 )  # fmt: skip
-RHYTHM = Rhythm(2000, 100.0, DT, 0.001, 0, "steps", 0.02)
+RHYTHM = Rhythm(2000, 100.0, DT, 0.001, 0, "steps", 100.0)
 CHANNEL = ChannelSummary(-1.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -132,16 +132,35 @@ def test_a_handful_of_messages_is_one_finding():
         ({"interval": 0.02}, 1.0, BAD, "a message every 0.02 s, but dt = 0.01: dt is wrong"),
         ({"interval": 0.02, "source": "stamps"}, 1.0, BAD, "dt is wrong, or pace, or messages are"),
         ({"interval": 0.005, "source": "stamps"}, 2.0, BAD, "stamps do not count the rig's own"),
-        ({"rate": 95.0}, 1.0, NOTE, "expected 100 a second"),  # a simulation that is a bit slow
-        ({"rate": 95.0, "source": "arrival"}, 1.0, BAD, "expected 100 a second"),
-        ({"rate": 200.0}, 1.0, BAD, "set 'pace' in the rig file"),
-        ({"rate": 200.0}, 2.0, OK, "200 a second"),
+        # a simulation that is a bit slow
+        ({"rate": 95.0, "steady": 95.0}, 1.0, NOTE, "expected 100 a second"),
+        ({"rate": 95.0, "steady": 95.0, "source": "arrival"}, 1.0, BAD, "expected 100 a second"),
+        ({"rate": 200.0, "steady": 200.0}, 1.0, BAD, "set 'pace' in the rig file"),
+        ({"rate": 200.0, "steady": 200.0}, 2.0, OK, "200 a second"),
+        ({"rate": 75.0, "steady": 100.0}, 1.0, OK, "75 a second"),  # nothing came for a while
     ],
 )
 def test_arrivals_are_judged_by_losses_interval_and_rate(rhythm, pace, level, text):
     finding = judge_arrivals(DT, RHYTHM._replace(**rhythm), pace)
     assert finding.level == level
     assert text in finding.text
+
+
+@pytest.mark.parametrize(("pace", "level"), [(1.0, OK), (1.5, BAD)])
+@pytest.mark.parametrize("paused", ["reader", "rig", "end"])
+def test_a_busy_machine_hides_no_wrong_pace(pace, level, paused):
+    """Failed before: a pause of 2 s in 8 s allowed for every pace from 0.5 to 1.5."""
+    n = 800
+    arrival = np.arange(n) * DT
+    if paused == "rig":
+        arrival += np.where(arrival > 4.0, 2.0, 0.0)
+    else:
+        begin = 3.0 if paused == "reader" else 6.5
+        arrival = np.where((arrival > begin) & (arrival < begin + 2.0), begin + 2.0, arrival)
+        arrival += 1e-5 * np.arange(n)
+    recorded = Samples(arrival, np.zeros(n), np.arange(n), np.zeros((n, 1)))
+    finding = judge_arrivals(DT, measure_rhythm(recorded, DT, pace), pace)
+    assert finding.level == level, finding.text
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,8 @@ from koop_commission.fitness.settings import DEFAULTS
 from koop_core.errors import InputError
 from koop_node.node.adapter import StepCounter
 
+PARTS = 8  # of the messages, of which a pause spoils a few
+
 
 class Rhythm(NamedTuple):
     """Rate, jitter and losses of the messages of one topic.
@@ -42,8 +44,9 @@ class Rhythm(NamedTuple):
         Messages lost.
     source : str
         What shows the losses: ``steps``, ``stamps`` or ``arrival``.
-    longest : float
-        Longest time without a message [s].
+    steady : float
+        Messages per second, on arrival [1/s], in most of the time: a pause, after which those that
+        waited come at once, does not count.
     """
 
     received: int
@@ -52,7 +55,7 @@ class Rhythm(NamedTuple):
     jitter: float
     lost: int
     source: str
-    longest: float
+    steady: float
 
     @property
     def share(self) -> float:
@@ -94,6 +97,7 @@ def measure_rhythm(samples: Samples, dt: float, pace: float = 1.0) -> Rhythm:
         source = "arrival"
         interval = min(float(np.median(gaps)), float(gaps.mean()), key=lambda v: abs(v - dt))
         lost = count_lost_by_arrival(arrival * pace, dt)
+    edges = np.linspace(0, arrival.size - 1, PARTS + 1).astype(int)
     return Rhythm(
         received=arrival.size,
         rate=(arrival.size - 1) / max(float(arrival[-1] - arrival[0]), 1e-9),
@@ -101,7 +105,7 @@ def measure_rhythm(samples: Samples, dt: float, pace: float = 1.0) -> Rhythm:
         jitter=float(np.quantile(np.abs(gaps - np.median(gaps)), 0.99)) / pace,
         lost=lost,
         source=source,
-        longest=float(gaps.max()) / pace,
+        steady=float(np.median(np.diff(edges) / np.maximum(np.diff(arrival[edges]), 1e-9))),
     )
 
 

@@ -74,9 +74,9 @@ def judge_arrivals(dt: float, rhythm: Rhythm, pace: float) -> Finding:
         return Finding(BAD, "arrival", text)
     if rhythm.share > DEFAULTS.lost_badly:
         return Finding(BAD, "arrival", f"{text}: too many")
-    stalled = 2.0 * rhythm.longest * rhythm.rate / rhythm.received  # one at an end shifts the count
-    off = abs(rhythm.rate * dt / pace - 1.0)
-    if not rhythm.lost and off > DEFAULTS.slow + stalled:
+    late = 2.0 * rhythm.jitter * rhythm.rate / rhythm.received  # a burst at an end shifts the count
+    off = min(abs(rate * dt / pace - 1.0) for rate in (rhythm.rate, rhythm.steady))
+    if not rhythm.lost and off > DEFAULTS.slow + late:
         # steps and stamps confirm dt; a simulated rig may be slower than its pace says
         far = off > DEFAULTS.near
         hint = " (is it simulated? set 'pace' in the rig file)" * far
