@@ -107,7 +107,7 @@ class Commissioning:
             if rounds and (rounds[-1].damped or number > VERIFICATION.rounds):
                 break
             if rounds:
-                print(verify.format_round(rounds[-1]))
+                print(verify.format_round(rounds[-1], self._rig.sense))
                 print(f"not damped: {rounds[-1].summary}; tuned again, with these recordings")
                 self._set_aside(len(rounds))
             if not self._tune(number):
@@ -167,7 +167,7 @@ class Commissioning:
             self._set_aside(len(rounds))
             old.rename(self._folder / TUNED)
         verification = verify.judge(self._rig, self._folder, index)
-        print(verify.format_verdict(verification, rounds[index]))
+        print(verify.format_verdict(verification, rounds[index], self._rig.sense))
         return 0 if verification.damped else 1
 
     def _begin(self, stage: str) -> None:

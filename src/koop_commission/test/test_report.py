@@ -19,6 +19,7 @@ from koop_commission.report.sections import (
 from koop_commission.report.spectra import COARSER, FINE, find_peaks, group
 from koop_commission.report.verdict import DONE, MISSING, NO, list_stages, write_sentences
 from koop_commission.report.write import try_report, write_report
+from koop_commission.stages.verify import format_verdict
 from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import write_json
 from koop_tune.excitation import progress
@@ -169,6 +170,17 @@ def test_the_strongest_motion_is_told_though_its_hold_is_put_aside():
 def test_the_largest_amplitude_is_the_best_where_it_is_maximised():
     rig = write_sentences(contents(objective="maximise"))[0]
     assert rig.endswith("between 4 at -1 and 1 at 1.")
+
+
+def test_what_is_far_from_the_best_is_told_as_below_it_where_that_is_the_largest():
+    for objective, valley, excess, row in (
+        ("minimise", "at most 1.5 times the best", "over the best one", "amplitude over the best"),
+        ("maximise", "at least 1/1.5 of the best", "the best one over it", "growth, a factor of"),
+    ):
+        c = contents(TUNED, [round_of()], objective=objective)
+        assert valley in make_static_map(c).intro
+        assert excess in [column.title for column in make_loop(c).tables[0].columns]
+        assert row in format_verdict(c.verification, c.verification.rounds[0], c.rig.sense)
 
 
 def test_a_refusal_gives_its_reason_which_says_what_to_do():

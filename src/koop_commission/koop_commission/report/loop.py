@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def make_loop(c: Contents) -> Section:
             "Predicted, from both ends of the range: median and 5 to 95 % of the runs. Not "
             f"measured yet: ./koop verify {c.rig_file} {c.folder}"
         )
-        table = _compare([Round(1, controller.predicted)])
+        table = _compare([Round(1, controller.predicted)], c.rig.sense)
         return Section("loop", TITLE, intro, [table], figures)
     for item in c.verification.rounds:
         tuned = c.tuned_for(item)
@@ -60,10 +61,11 @@ def make_loop(c: Contents) -> Section:
                 u = c.rig.scale.u(np.array([run.start[0], *(path.start for path in paths)]))
                 nearest = paths[int(np.argmin(np.abs(u[1:] - u[0])))]
             figures.append(_draw(c, f"run-{item.number}-{i}", caption, tuned, nearest, recorded))
+    tables = [_compare(c.verification.rounds, c.rig.sense)]
     predicted = "Predicted (median and 5 to 95 % of the runs from the nearer end of the range) and "
     measured = "measured on the rig, each run from its own start."
     intro = predicted + measured if c.rig.count == 1 else measured.capitalize()
-    return Section("loop", TITLE, intro, [_compare(c.verification.rounds)], figures)
+    return Section("loop", TITLE, intro, tables, figures)
 
 
 def _draw(
@@ -103,7 +105,7 @@ def _draw(
     return Figure(name, caption, tuple(panels), columns=2)
 
 
-def _compare(rounds: Sequence[Round]) -> Table:
+def _compare(rounds: Sequence[Round], sense: float) -> Table:
     names = [column.key for column in COMPARED[2:]]
     rows: list[tuple[Cell, ...]] = []
     for item in rounds:
@@ -116,7 +118,12 @@ def _compare(rounds: Sequence[Round]) -> Table:
             values = [getattr(run.measured, name) for name in names]
             rows.append(("measured", *map(_make_cell, (run.start, *values))))
     summaries = [f"round {r.number}: {r.summary}" for r in rounds if r.summary]
-    return Table("compared", "; ".join(summaries) or "Predicted and measured", COMPARED, rows)
+    columns = tuple(
+        replace(column, title="the best one over it") if column.key == "excess" and sense < 0.0
+        else column
+        for column in COMPARED
+    )  # fmt: skip
+    return Table("compared", "; ".join(summaries) or "Predicted and measured", columns, rows)
 
 
 def _make_cell(value: float | tuple[float, ...] | None) -> Cell:

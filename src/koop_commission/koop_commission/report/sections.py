@@ -24,6 +24,7 @@ from koop_commission.report.spectra import make_spectra
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import spec_of
 from koop_core.errors import InputError
+from koop_tune.excitation.static_map import MAP, times_best
 from koop_tune.result.tune_result import Points
 from koop_tune.rig.rig_file import RigFile, as_values
 from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
@@ -79,8 +80,10 @@ def make_static_map(c: Contents) -> Section:
         intro += " Each knob alone is moved through the best of all, where the others stay."
     if fit := c.tuned.static_map:
         if c.tuned.controller:
+            most = "most" if c.rig.sense > 0.0 else "least"
             intro += (
-                " Shaded: the valley, where the amplitude is at most 1.5 times the best, which is "
+                f" Shaded: the valley, where the amplitude is at {most} "
+                f"{times_best(MAP.good, c.rig.sense)}, which is "
                 f"{math.exp(fit.best):.3g}; below {fit.amplitude.floor:.2g} nothing can be "
                 "resolved."
             )
@@ -131,11 +134,14 @@ def _draw_map(c: Contents, knob: int, static: Points) -> Panel:
 
 def _list_worth(c: Contents) -> Table:
     """Return how much each knob matters."""
+    worth = "amplitude over its range, over the best"
+    if c.rig.sense < 0.0:
+        worth = "best amplitude, over the least of its range"
     columns = (
         Column("knob", "knob", words=True),
         Column("best", "best at"),
         *_words("valley"),
-        Column("worth", "amplitude over its range, over the best", ".3g"),
+        Column("worth", worth, ".3g"),
     )
     rows: Rows = []
     for knob, name in enumerate(c.rig.knob_names):
@@ -176,6 +182,7 @@ def make_costs(c: Contents) -> Section:
     rows: Rows = []
     knob = c.tuned.static_map.knob if c.tuned.static_map else 0
     name, scale = c.rig.knob_names[knob], c.rig.scales[knob]
+    least = "least" if c.rig.sense > 0.0 else "largest"
     for cost in c.tuned.costs:
         best = cost.theta_best
         rows.append((cost.name, best, cost.evidence, cost.score, cost.problem))
@@ -187,7 +194,7 @@ def make_costs(c: Contents) -> Section:
             Series("holds", step_apart(cost.r.theta), cost.r.level, "points", color=color),
             _bars(cost.r, color),
         )
-        marks = () if best is None else (Mark(best, f"least {best:.3g}", color=BEST),)
+        marks = () if best is None else (Mark(best, f"{least} {best:.3g}", color=BEST),)
         title = cost.name + " (chosen)" * is_chosen
         panels.append(Panel(name, "r", series, title, scale.logarithmic, log_y=True, marks=marks))
     why = f"{c.tuned.why[0].upper()}{c.tuned.why[1:]}."

@@ -55,7 +55,7 @@ def main(args: argparse.Namespace) -> int:
     rig = rig_file.read(args.rig)
     with resumable(rig, f"./koop verify {args.rig} {args.folder}"):
         verification = verify(rig, args.folder, note_of(args.rig))
-    print(format_verdict(verification, verification.rounds[-1]))
+    print(format_verdict(verification, verification.rounds[-1], rig.sense))
     print(try_report(args.folder))
     return 0 if verification.damped else 1
 
@@ -132,13 +132,20 @@ def _conclude(rounds: tuple[Round, ...], index: int, aim: Aim, folder: Path) -> 
     return verification
 
 
-def format_verdict(verification: Verification, item: Round) -> str:
+def format_verdict(verification: Verification, item: Round, sense: float) -> str:
     """Return the verdict on the controller of a round, before the round's table."""
-    return f"\n{verification.verdict}\n\n{format_round(item)}\n"
+    return f"\n{verification.verdict}\n\n{format_round(item, sense)}\n"
 
 
-def format_round(item: Round) -> str:
-    """Return the runs of a round beside the prediction, as a table."""
+def format_round(item: Round, sense: float) -> str:
+    """Return the runs of a round beside the prediction, as a table.
+
+    ``sense`` is +1 if little amplitude is wanted, else -1.
+    """
+    excess, reduction = (
+        ("amplitude over the best", "reduction") if sense > 0.0
+        else ("best over the amplitude", "growth")
+    )  # fmt: skip
     p, runs = item.prediction, [run.measured for run in item.runs]
 
     def row(name: str, values: list[float | None], band: Band, unit: float = 1.0) -> list[str]:
@@ -148,8 +155,8 @@ def format_round(item: Round) -> str:
     rows = [
         row("converges within [s]", [run.time_to_converge for run in runs], p.converges),
         row("|theta - theta*| [% of range]", [run.distance for run in runs], p.distance, 100.0),
-        row("amplitude over the best", [run.excess for run in runs], p.excess),
-        row("reduction, a factor of", [run.reduction for run in runs], p.reduction),
+        row(excess, [run.excess for run in runs], p.excess),
+        row(f"{reduction}, a factor of", [run.reduction for run in runs], p.reduction),
         ["theta at the end", *(spell(run.theta) for run in runs), ""],
         ["swing of theta", *(format_knobs(run.swing, ".3g") for run in runs), ""],
     ]
