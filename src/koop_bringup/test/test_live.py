@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from koop_bringup.live.health import describe_loop
+from koop_bringup.live.health import describe_loop, judge_health
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.notify import ServiceManager
@@ -193,3 +193,17 @@ def test_a_program_that_knows_nothing_of_ours_ends_on_sigint(tmp_path):
     while "started" not in log.read_text():
         assert rig.poll() is None
     assert rig.stop() == 0
+
+
+def test_an_error_of_another_program_is_told_apart_from_the_health_of_the_loop(tmp_path):
+    said = {"relay_esc": 0, "camera_driver": 2}
+    findings = {"camera_driver": "camera_driver ERROR: no picture"}
+    progress = Progress(levels=said, findings=findings, heard=dict.fromkeys(said, 1.0))
+    assert judge_health(progress, ["relay_esc"], [], 2.0) == []
+    text = describe_loop(progress, [], {"relay_esc": {}}, tmp_path, False, 1.0)
+    assert "  healthy\n" in text
+    assert text.endswith("not of this loop, on /diagnostics: camera_driver ERROR: no picture")
+    own = Progress(levels={"relay_esc": 2}, findings={"relay_esc": "relay_esc ERROR: no cost"},
+                   heard={"relay_esc": 1.0})  # fmt: skip
+    assert judge_health(own, ["relay_esc"], [], 2.0) == ["relay_esc ERROR: no cost"]
+    assert "not of this loop" not in describe_loop(own, [], {"relay_esc": {}}, tmp_path, False, 1.0)

@@ -49,6 +49,8 @@ def judge_health(
             faults.append(f"{node} is silent")
     guard = progress.values.get("koop_guard", {})
     for node, text in progress.told.items():
+        if node not in nodes:  # of others, as of the rig's own driver
+            continue
         of_guard = node == "koop_guard" and guard.get("status") != "following"
         if of_guard or progress.levels[node] > WARN:
             faults.append(text)
@@ -84,6 +86,10 @@ def describe_loop(
     elif "vdp_plant" in values:
         rig = "the simulated plant"
     theta = format_knobs(progress.theta)
+    others = [
+        text for node, text in progress.told.items()
+        if node not in values and progress.levels[node] > WARN
+    ]  # fmt: skip
     size = 0
     for file in (folder / "bag").glob("*"):
         with suppress(FileNotFoundError):  # the recorder drops the oldest
@@ -97,5 +103,6 @@ def describe_loop(
             f"  run: {folder.resolve()}, "
             + (f"recording, {size / 1e6:.1f} MB" if recorded else "not recording"),
             f"  running for {timedelta(seconds=int(running))}, step {progress.step}",
+            *[f"  not of this loop, on /diagnostics: {'; '.join(others)}"] * bool(others),
         ]
     )
