@@ -72,6 +72,7 @@ def test_inspect_shows_the_residuals_of_a_noisy_bag(tmp_path, capsys):
     ("options", "message"),
     [
         (["--dt", "0"], "dt = 0 s: must be positive"),
+        (["--dt", "1e-5"], "dt = 1e-05 s, but a message on /joint_states comes every 0.02 s only"),
         (["--gap", "-1"], "gap = -1 s: must be positive"),
         (["--measured", "/joint_states"], "write /topic:field or"),
         (["--measured", "joint_states:position[0]"], "a bag knows topics by their full names"),

@@ -13,6 +13,7 @@ class ReadingSettings(Settings):
 
     gaps: float = judged(3.0, "pause that is a gap, in usual periods or dt", low=1.0)
     stepped: float = judged(0.01, "share of dt that the time of a step may differ", low=0.0)
+    finer: float = judged(100.0, "states interpolated between two samples, at most", low=1.0)
     even: float = judged(0.05, "the same, of the mean period of counted samples", low=0.0)
     long: float = judged(
         1.5, "wait after which a missing sample is looked for", unit="periods", low=1.0

@@ -49,7 +49,7 @@ def find_segmentation(bag: BagReader, reading: BagReading) -> tuple[Segmentation
     Raises
     ------
     koop_core.errors.InputError
-        If the topic has fewer than two messages, or no time to go by.
+        If the topic has fewer than two messages, or no time to go by, or dt is far below theirs.
     """
     topic = reading.measured.topic
     first = _first_samples(bag, reading.measured)
@@ -68,6 +68,11 @@ def find_segmentation(bag: BagReader, reading: BagReading) -> tuple[Segmentation
         raise InputError(f"{bag.path}: {why}")
     stepped = recorded_dt == dt or abs(_step_time(first) / dt - 1.0) < READING.stepped
     way = "steps" if first.step is not None and stepped else "linear"
+    if way == "linear" and period > READING.finer * dt:
+        raise InputError(
+            f"{bag.path}: dt = {dt:g} s, but a message on {topic} comes every {period:.3g} s only: "
+            "between them nothing is known"
+        )
     counted = way == "linear" and not first.stamped
     usual = counted_spacing(period, dt) if counted else period
     gap = reading.gap or (dt if way == "steps" else READING.gaps * max(usual, dt))
