@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -41,6 +42,7 @@ class RecordedSource(ViewSource):
         super().__init__()
         self._path = path
         self._tasks: set[asyncio.Task[None]] = set()
+        self._sending: Counter[ClientSession] = Counter()
         with BagReader(path) as bag:
             topics = [
                 item
@@ -57,12 +59,13 @@ class RecordedSource(ViewSource):
 
     def subscribe(self, viewer: ClientSession, wanted: Mapping[int, AdvertisedChannel]) -> None:
         """Send channels that are subscribed to together in time order."""
+        self._sending[viewer] += 1
         task = asyncio.get_running_loop().create_task(self._send(viewer, wanted))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     async def _send(self, viewer: ClientSession, wanted: Mapping[int, AdvertisedChannel]) -> None:
-        """Send channels as long as they are subscribed to, and say when that is done."""
+        """Send channels as long as they are subscribed to, and say when all of a client's are."""
         numbers = {channel.topic: number for number, channel in wanted.items()}
         try:
             with BagReader(self._path) as bag:
@@ -76,11 +79,15 @@ class RecordedSource(ViewSource):
                         return
                     if count % TURN == 0:
                         await asyncio.sleep(0)
-            viewer.say(INFO, COMPLETE)
+            if self._sending[viewer] == 1:
+                viewer.say(INFO, COMPLETE)
         except BagError as error:
             viewer.say(ERROR, str(error))
         except ConnectionClosed:
             pass
+        finally:
+            self._sending[viewer] -= 1
+            self._sending += Counter()  # keeps no client that has none
 
 
 def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str, LoopNames]:

@@ -248,6 +248,35 @@ def test_a_topic_of_a_recording_goes_on_when_another_is_unsubscribed(recording):
     assert messages == [item for item in written if item[0] == "/c"]
 
 
+def test_a_recording_is_complete_when_all_that_a_client_asked_for_has_come(recording):
+    """Failed before: a loop chosen while another was being read was said to be complete."""
+
+    class Viewer:
+        delivered, complete = 0, ()
+
+        async def deliver_slowly(self, number, time, data):
+            self.delivered += 1
+            await asyncio.sleep(0)
+            return True
+
+        def say(self, level, text):
+            self.complete += (self.delivered,)
+
+    async def read():
+        source, viewer = RecordedSource(recording[0]), Viewer()
+        first, _, last = source.channels.values()
+        source.subscribe(viewer, {1: first})
+        while viewer.delivered < 500:
+            await asyncio.sleep(0)
+        source.subscribe(viewer, {2: last})
+        while source._tasks:
+            await asyncio.sleep(0)
+        assert not source._sending
+        return viewer.complete
+
+    assert asyncio.run(read()) == (2000,)
+
+
 @pytest.mark.parametrize("closed", [True, False])
 def test_a_recording_shows_the_parameters_of_its_nodes_and_what_it_can_show(tmp_path, closed):
     text = "/esc:\n  ros__parameters:\n    dwell: 2.5\n/other: 1\n/another:\n  a: 1\n"
