@@ -42,6 +42,21 @@ def koop(capsys):
 # -- info -------------------------------------------------------------------------------------
 
 
+def test_info_says_where_files_of_several_bags_may_be_read_as_one(write_loop, koop, tmp_path):
+    whole = write_loop(n=20)
+    (file,) = whole.glob("*.mcap")
+    assert "read as one bag" not in koop("info", whole)[1]
+    several = tmp_path / "several"
+    several.mkdir()
+    for name in ("monday_0.mcap", "monday_1.mcap"):
+        (several / name).write_bytes(file.read_bytes())
+    assert "read as one bag" not in koop("info", several)[1]
+    (several / "tuesday.mcap").write_bytes(file.read_bytes())
+    text = koop("info", several)[1]
+    assert "monday_0.mcap, monday_1.mcap, tuesday.mcap are read as one bag; if they are se" in text
+    assert json.loads(koop("info", several, "--json")[1])["unrelated"][2] == "tuesday.mcap"
+
+
 def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tmp_path):
     folder = tmp_path / "run"
     with BagWriter(folder) as writer:
