@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import socket
 import struct
 import time
@@ -23,6 +24,7 @@ STATUS, STOP = "status", "stop"
 MOST = 16  # that are answered at a time, and that may be connected without a question
 LONGEST = 65536  # [B] of an answer
 PATIENCE = 5.0  # [s] for an answer to ``status``
+_OF_LOOP = re.compile(rf"{PREFIX}[0-9]{{1,3}}(/[A-Za-z0-9_]+)*")
 _CREDENTIALS = struct.Struct("3i")  # of unix(7): process, user, group
 
 
@@ -89,10 +91,13 @@ def credentials(peer: socket.socket) -> tuple[int, int]:
 
 
 def find_loops() -> list[str]:
-    """Return the names of the loops of this machine, as ``koop/DOMAIN/NAMESPACE``."""
+    """Return the names of the loops of this machine, as ``koop/DOMAIN/NAMESPACE``.
+
+    Any program may take a name that begins so: one that no loop has is left out.
+    """
     lines = Path("/proc/net/unix").read_text().splitlines()[1:]
     names = {line.rpartition(" @")[2] for line in lines if f" @{PREFIX}" in line}
-    return sorted(names)
+    return sorted(name for name in names if _OF_LOOP.fullmatch(name))
 
 
 def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str, Any]:
@@ -118,8 +123,19 @@ def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str
             raise LiveError(f"does not answer: {error}") from None
     if not data:
         raise LiveError("ended without a word: theta is left to guard and twin, see its logs")
-    answer: dict[str, Any] = json.loads(data)
+    answer = _parse(data)
+    status = isinstance(answer.get("places"), list) and answer.keys() >= {"healthy", "text"}
+    if not (status if question == STATUS else answer.keys() & {"text", "refused"}):
+        raise LiveError(f"process {process}: its answer is not one of a loop of this version")
     return {**answer, "pid": process, "user": user}
+
+
+def _parse(data: bytes) -> dict[str, Any]:
+    """Return an answer; an empty one of what is none."""
+    try:
+        return dict(json.loads(data))
+    except (ValueError, TypeError):
+        return {}
 
 
 def _connect(loop: socket.socket, address: str, patience: float | None) -> None:
