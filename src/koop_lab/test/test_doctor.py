@@ -1,5 +1,7 @@
 """Each disturbance of a machine is found, with its remedy, and a machine without one has none."""
 
+from pathlib import Path
+
 import pytest
 
 from koop_lab.cli.main import main
@@ -33,6 +35,14 @@ def test_what_is_well_has_no_cause(tmp_path):
     machine = Machine(tmp_path, {"KOOP_ROOT": str(tmp_path)})
     for name in EXAMINATIONS.keys() - {"clock", "real time"}:  # which are this machine's
         assert EXAMINATIONS[name](machine) is None, name
+
+
+@pytest.mark.parametrize(("limit", "permitted"), [(0, False), (98, True), (-1, True)])
+def test_a_right_without_a_limit_is_a_right(monkeypatch, limit, permitted):
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    monkeypatch.setattr("resource.getrlimit", lambda which: (limit, limit))
+    machine = Machine(Path("/"), {})
+    assert (EXAMINATIONS["real time"](machine) is None) is permitted
 
 
 def test_an_unheard_multicast_is_found(tmp_path, monkeypatch):

@@ -123,7 +123,7 @@ def judge_clock(machine: Machine) -> Cause:
 
 def judge_priority(machine: Machine) -> Cause:
     """Find a missing right: the parameter ``priority`` needs it."""
-    if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
+    if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0:  # -1: unlimited
         return None
     return "not permitted: add '@realtime - rtprio 98' to /etc/security/limits.d and log in again"
 
