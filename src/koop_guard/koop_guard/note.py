@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import os
 import threading
 from collections.abc import Callable, Collection
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from koop_core.config.knobs import format_knobs
-from koop_core.config.objects import parse
+from koop_core.config.objects import parse, to_json
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_core.whole_file import read_json, write_json
@@ -17,6 +18,7 @@ from koop_guard.config import RigLimits
 from koop_guard.guard import Trip
 
 THETA_LEFT = "theta is left at"  # begins the last words of guard and twin
+NOT_NOTED = "where theta is cannot be noted, a restart would not know it"
 TWIN = "koop_guard_twin/"  # begins the name that a twin holds; its guard's process ends it
 PERIOD = 1.0  # [s] between two notes while nothing trips
 
@@ -43,11 +45,25 @@ def note_of(rig_file: str | Path) -> Path:
     return path.with_name(f".{path.name}.theta")
 
 
-def leave(path: Path | str | None, note: Note) -> None:
-    """Write a note, whole or not at all; a missing note is not a fault."""
-    if path:
-        with suppress(LiveError):
-            write_json(Path(path), note)
+def leave(path: Path | str | None, note: Note) -> str:
+    """Write a note; return in words why that could not be, or nothing.
+
+    On a full disk the room of the old one is used, for that would tell of another theta: a note
+    that was torn by it is refused when it is read.
+    """
+    if not path:
+        return ""
+    try:
+        write_json(Path(path), note)
+    except LiveError as error:
+        try:
+            with open(path, "r+b") as file:
+                file.write(json.dumps(to_json(note)).encode())
+                file.truncate()
+                os.fsync(file.fileno())
+        except OSError:
+            return str(error)
+    return ""
 
 
 def read(path: Path | str | None) -> Note | None:
@@ -92,10 +108,11 @@ class Keeper:
     """Writes the note in a thread: a disk may be slow, and theta must not wait for it.
 
     ``path`` is empty for none; ``current()`` returns what is to be noted now, None for nothing.
+    ``failure`` says in words why the last one could not be written, which is tried again.
     """
 
     def __init__(self, path: str, current: Callable[[], Note | None]) -> None:
-        self._path, self._current = path, current
+        self._path, self._current, self.failure = path, current, ""
         self._news, self._over = threading.Event(), False
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -115,8 +132,8 @@ class Keeper:
         while True:
             over = self._over
             if (note := self._current()) != written and note is not None:
-                leave(self._path, note)
-                written = note
+                self.failure = leave(self._path, note)
+                written = written if self.failure else note
             if over:
                 return
             self._news.wait(PERIOD)

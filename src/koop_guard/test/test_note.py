@@ -51,6 +51,35 @@ def test_a_trip_is_noted_and_a_damaged_note_is_refused(tmp_path):
     leave(tmp_path / "no" / "note", left)  # is no fault
 
 
+def test_on_a_full_disk_a_note_takes_the_room_of_the_old_one_or_says_why_it_is_not_written(
+    tmp_path,
+):
+    note = tmp_path / "note"
+    assert leave(note, replace(LEFT, trip=TRIP)) == ""
+    (tmp_path / "note.new").mkdir()  # as on a full disk, nothing can be written beside it
+    assert leave(note, replace(LEFT, theta=(-0.5,))) == ""
+    assert read(note) == replace(LEFT, theta=(-0.5,))
+    note.unlink()
+    assert leave(note, LEFT).startswith(f"{note}: ")
+
+
+def test_a_note_that_could_not_be_written_is_tried_again(tmp_path):
+    note, asked = tmp_path / "later" / "note", threading.Semaphore(0)
+
+    def current():
+        asked.release()
+        return LEFT
+
+    keeper = Keeper(str(note), current)
+    for _ in range(2):
+        assert asked.acquire(timeout=30.0)
+    assert keeper.failure.startswith(f"{note}: ")
+    note.parent.mkdir()
+    keeper.close()
+    assert keeper.failure == ""
+    assert read(note) == LEFT
+
+
 def test_a_note_is_written_when_it_is_new_and_a_last_time_at_the_end(tmp_path):
     note, asked, notes = tmp_path / "note", threading.Semaphore(0), [None]
 

@@ -22,7 +22,7 @@ from koop_guard.guard import Cause, Guard, Status, Trip
 from koop_guard.node.alarm import Alarm
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
-from koop_guard.note import Keeper, Note, find_theta, read
+from koop_guard.note import NOT_NOTED, Keeper, Note, find_theta, read
 from koop_node.client.question import Question
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
@@ -161,6 +161,8 @@ class GuardRun(Run):
             return_to_safe(guard, self._config, self._command, self._advance, self._last)
         if self._keeper is not None:
             self._keeper.close()
+            if self._keeper.failure:
+                self._node.get_logger().error(f"{NOT_NOTED}: {self._keeper.failure}")
         self._announce()
         if self._commands:
             self._node.get_logger().info(describe_theta(guard, self._config))
@@ -206,13 +208,15 @@ class GuardRun(Run):
             "rearms_left": max(self._config.rearms - guard.rearmed, 0),
             "twin": twin.process.pid if twin is not None else 0,
         }
+        failure = self._keeper.failure if self._keeper is not None else ""
+        unknown = failure and f"{NOT_NOTED}: {failure}"
         if trip is not None:
             values |= {"cause": trip.cause.value, "reason": trip.reason, "tripped_x": list(trip.x)}
         if guard.status is Status.TRIPPED and trip is not None:
             refusal = guard.refusal(time.monotonic())
             then = time.localtime(trip.when + self._epoch)
             when = time.strftime("%Y-%m-%d %H:%M:%S", then)  # it may have been in an earlier run
-            why = f"tripped: {trip.reason}, at {when}"
+            why = f"tripped: {trip.reason}, at {when}" + f"; {unknown}" * bool(unknown)
             values["rearm_refused"] = refusal
             if refusal:
                 return ERROR, f"no rearm now: {refusal}; {why}", values
@@ -221,6 +225,8 @@ class GuardRun(Run):
             return WARN, "nothing is commanded: the controller has not answered yet", values
         if twin is not None and not (twin.shared.ready and twin.process.poll() is None):
             return WARN, "the guard's twin is not ready", values
+        if unknown:
+            return WARN, unknown, values
         return OK, "moves theta to ~/target" if self._to_target else "following", values
 
     def _on_state(self, message: Any, written: float) -> None:

@@ -27,7 +27,7 @@ from koop_core.config.knobs import MOST
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard
 from koop_guard.node.memory_file import open_memory_file
-from koop_guard.note import TWIN, Note, leave, read
+from koop_guard.note import NOT_NOTED, TWIN, Note, leave, read
 from koop_node.client.alone import claimed
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
 
@@ -186,5 +186,7 @@ def _take_over(
     alarm.check()
     # with the trip that it may hold
     note = read(config.note) or Note(guard.theta, config.command, (), None, 0)
-    leave(config.note, replace(note, theta=guard.theta, publishers=tuple(order["publishers"])))
+    note = replace(note, theta=guard.theta, publishers=tuple(order["publishers"]))
+    if failure := leave(config.note, note):
+        print(f"{NOT_NOTED}: {failure}", flush=True)
     print(f"the guard was killed; {describe_theta(guard, config)}", flush=True)
