@@ -269,6 +269,18 @@ def test_nothing_reacts_where_only_channels_without_weight_do():
     assert choose_amplitude(WINDOWS, holds, (0.0, 1.0)) is None
 
 
+def test_a_channel_that_does_not_react_hides_no_other():
+    """Failed before: the best of all channels was one in which nothing is hidden, for it is not."""
+    rng = np.random.default_rng(1)
+    noisy = [hold(rng, [(2.0, 0.2 + u)], noise=6.0) for u in U]
+    silent = [hold(rng, [(5.0, 1.0)]) for _ in U]
+    alone = choose_amplitude(WINDOWS, noisy)
+    both = [np.concatenate(pair, axis=1) for pair in zip(noisy, silent, strict=True)]
+    amplitude = choose_amplitude(WINDOWS, both)
+    assert amplitude.weight[0].tolist() == alone.weight[0].tolist()
+    assert not amplitude.weight[1].any()
+
+
 def test_a_channel_in_which_the_oscillation_is_hidden_is_left_out():
     rng = np.random.default_rng(6)
     size = 0.2 + U

@@ -387,13 +387,12 @@ def choose_amplitude(
     size = (motion * reacts).sum(axis=2).max(axis=0)
     hides = (background * reacts).sum(axis=1)
     w = np.array(importance or [1.0] * size.size)
-    use = (size > 0.0) & (w > 0.0)
-    use &= hides < size * max(
-        AMPLITUDE.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0
-    )
-    if not use.any():  # what differs at one place is then all that there is, as with hysteresis
+    counts = (size > 0.0) & (w > 0.0)
+    if not counts.any():  # what differs at one place is then all that there is, as with hysteresis
         known = windows, holds, importance, (), hidden, beside
         return choose_amplitude(*known) if len(places) else None
+    least = float((hides[counts] / size[counts]).min())
+    use = counts & (hides < max(AMPLITUDE.hidden, least * 2.0) * size)
     w = np.where(use, w, 0.0)
     weight = reacts * (w / np.where(use, size, 1.0))[:, None] / w.sum()
     unseen = weight.max(axis=1) @ np.array(hidden or [0.0] * size.size)
