@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commission_rig import RIG, TYPES, FastRig
+from koop_msgs.msg import MeasuredState
 from std_msgs.msg import Float64
 from waiting import TIMEOUT, wait
 
@@ -20,7 +21,7 @@ from koop_bringup.live.loop import LiveNodes
 from koop_bringup.plan import Plan
 from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
-from koop_commission.stages.excite import read_holds
+from koop_commission.stages.excite import Excitation, read_holds
 from koop_commission.stages.session import Session, refuse_incomplete_state, refuse_small_disk
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -105,6 +106,26 @@ def test_where_theta_may_be_elsewhere_the_reason_is_told_too(fast_rig, tmp_path)
         with pytest.raises(LiveError, match=reason):
             lose_guard_and_twin(session)
     assert fast_rig.theta == -1.0
+
+
+@pytest.mark.parametrize(
+    ("pace", "last", "least", "most"),
+    [(1e3, 5, 5 * RIG.dt, 5 * RIG.dt), (1.0, 10**9, 0.0, TIMEOUT)],
+    ids=["slower than its pace", "a leap of its clock"],
+)
+def test_an_excitation_counts_the_time_of_the_rig(own_domain, tmp_path, pace, last, least, most):
+    """Failed before: where a simulated rig fell behind its pace, the clock used up its time."""
+    rig = replace(RIG, measured="/state:x[0],x[1]", pace=pace)
+    with Client("koop_test") as client:
+        publisher = client.node.create_publisher(MeasuredState, "/state", 10)
+        listener = Listener(client, "/state", "koop_msgs/msg/MeasuredState", ((("step", None),),))
+        session = Session(rig, client, listener, TYPES[1:], LiveNodes(tmp_path, Plan({}, rig=True)))
+        excitation = Excitation(rig, tmp_path, progress.ExcitationProgress(), [], session)
+        client.wait_for(lambda: publisher.get_subscription_count() == 1, TIMEOUT, "the listener")
+        for step in (1, 2, last):  # the others are lost
+            publisher.publish(MeasuredState(step=step))
+        client.wait_for(lambda: listener.count == 3, TIMEOUT, "the messages")
+        assert least <= excitation._elapsed <= most
 
 
 def whole(bag):

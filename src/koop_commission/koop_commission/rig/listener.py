@@ -63,6 +63,13 @@ class Listener:
         """Number of messages received."""
         return len(self._arrival)
 
+    def count_steps(self, begin: int) -> int:
+        """Return how many steps the rig made since a message: those received, and those lost."""
+        received = self.count - begin
+        if received <= 0:
+            return 0
+        return max(received, self._step[-1] - self._step[begin] + 1)
+
     def wait(self, seconds: float, most: float = math.inf) -> None:
         """Receive messages for a time [s], or until some were received."""
         self._client.spin_until(lambda: self.count >= most, seconds)

@@ -150,10 +150,11 @@ class Excitation:
 
     @property
     def _elapsed(self) -> float:
-        """Time of all parts [s], of the rig's own time."""
-        if getattr(self._listener.last, "lockstep", False):
-            return self._before + (self._listener.count - self._first) * self._rig.dt
-        return self._before + (time.monotonic() - self._began) * self._rig.pace
+        """Time of all parts [s], of the rig's own time: a simulated rig may fall behind its pace."""
+        passed = self._listener.count_steps(self._first) * self._rig.dt
+        if not getattr(self._listener.last, "lockstep", False):  # a clock that is set may leap
+            passed = min(passed, (time.monotonic() - self._began) * self._rig.pace)
+        return self._before + passed
 
     def run(self) -> None:
         """Move theta until the map is known or the time is over."""
