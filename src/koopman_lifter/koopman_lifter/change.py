@@ -293,8 +293,8 @@ class Change:
     def __str__(self) -> str:
         if self.interference:
             return (
-                f"the rig has changed: interference at {self.after:.4g} Hz outshines its "
-                f"oscillation at {self.before:.4g} Hz"
+                f"what oscillates at {self.after:.4g} Hz outshines the oscillation at "
+                f"{self.before:.4g} Hz that was the strongest: interference, or what theta changes"
             )
         to = f"to {self.after:.4g} Hz"
         if math.isnan(self.after):
