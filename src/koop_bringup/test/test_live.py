@@ -68,6 +68,16 @@ def test_a_node_that_hung_as_it_left_the_domain_has_done_its_work(tmp_path):
     assert node.poll() == -signal.SIGALRM
 
 
+def test_what_a_killed_node_said_long_before_is_not_its_reason(tmp_path):
+    """Failed before: warnings that were over stood behind "was killed by signal 9:"."""
+    node = NodeProcess("node", [FOREIGN], tmp_path / "node.log", [sys.executable, "-c"])
+    while node.last_lines() != "started":
+        assert node.poll() is None
+    node.process.kill()
+    node.process.wait()
+    assert str(node.failure()) == f"node was killed by signal 9 ({tmp_path / 'node.log'})"
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.06, 0.1])
 def test_a_node_that_is_stopped_before_it_has_started_ends_as_any_other(tmp_path, delay):

@@ -167,4 +167,6 @@ class NodeProcess:
         """Return the error that says how the process ended, with its last words."""
         code = self.process.poll()
         end = "has not ended" if code is None else describe_end(self.node, code)
-        return LiveError(f"{end}:\n{self.last_lines()}\n({self.log})")
+        # who is killed has said nothing about it
+        words = "" if code == -signal.SIGKILL else f":\n{self.last_lines()}"
+        return LiveError(f"{end}{words}\n({self.log})")
