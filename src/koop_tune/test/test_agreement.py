@@ -106,7 +106,10 @@ def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
     assert actual.reduction == pytest.approx(4.0, rel=0.12)
     assert actual.time_to_converge is not None
     assert find_faults(aim, [actual]) == []
+    said = verdict(aim, [actual], 1, "there")  # failed before: it was damped
+    assert re.match("The rig is at its strongest oscillation (about )?as predicted", said)
     weak = replace(actual, amplitude=2.0, excess=2.0, reduction=2.0)
+    assert "The rig is not at its strongest oscillation" in verdict(aim, [weak], 1, "there")
     (fault,) = find_faults(aim, [weak])  # failed before: 2.04 times the best known, 1.5 the most
     assert re.search(r"the amplitude may be 1/2\.\d+ of the best known, 1/1\.5 the least", fault)
     (text,) = find_disagreements(aim, replace(weak, reduction=4.0))

@@ -150,7 +150,7 @@ class Excitation:
 
     @property
     def _elapsed(self) -> float:
-        """Time of all parts [s], of the rig's own time: a simulated rig may fall behind its pace."""
+        """Time of all parts [s] of the rig, which may fall behind its pace if it is simulated."""
         passed = self._listener.count_steps(self._first) * self._rig.dt
         if not getattr(self._listener.last, "lockstep", False):  # a clock that is set may leap
             passed = min(passed, (time.monotonic() - self._began) * self._rig.pace)

@@ -391,6 +391,11 @@ def spell(theta: Sequence[float]) -> str:
     return format_knobs(theta, ".4g")
 
 
+def spell_goal(sense: float) -> str:
+    """Return in words what a rig is whose loops are good; ``sense`` is +1 if little is wanted."""
+    return "damped" if sense > 0.0 else "at its strongest oscillation"
+
+
 def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
     """Return the verdict of a verification in a few lines: the answer, of what, and at what price.
 
@@ -405,7 +410,7 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
     where : str
         Folder that ``koop up`` runs.
     """
-    faults = find_faults(aim, runs)
+    faults, goal = find_faults(aim, runs), spell_goal(aim.sense)
     worse = [text for run in runs for text in find_disagreements(aim, run)]
     if faults:
         advice = (
@@ -417,16 +422,16 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
         if any(_is_new(aim, run) for run in runs):
             advice = "the map lacks that: leave theta at theta_safe"
         answer = (
-            f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; "
+            f"The rig is not {goal} after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; "
             f"{advice}"
         )
     elif worse:
-        answer = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
+        answer = f"The rig is {goal}, but not as predicted ({worse[0]}): ./koop up {where} runs it"
     else:
         outside = {text: None for run in runs for text in find_disagreements(aim, run, 0.0)}
         band = f", the band missed by errors at most ({'; '.join(outside)})" if outside else ""
         how = "about as predicted" if outside else "as predicted"
-        answer = f"The rig is damped {how}{band}: ./koop up {where} runs it"
+        answer = f"The rig is {goal} {how}{band}: ./koop up {where} runs it"
     lines = [answer, f"The amplitude is that of {aim.name}"]
     if not faults and (trade := _describe_trade(aim, runs)):
         lines.append(trade)
