@@ -305,6 +305,8 @@ build() (
   cd "$WS" || exit
   # setuptools warns about the very commands that colcon drives it with.
   export PYTHONWARNINGS=ignore
+  # A thread of colcon's writes the logs, while build.py may be in the folder of a package.
+  export COLCON_LOG_PATH=$WS/log
   # Without this, colcon lets a machine that is busy build one file at a time.
   MAKEFLAGS=-j$(nproc)
   export MAKEFLAGS
