@@ -110,7 +110,7 @@ class Outcome:
     distance : float
         Mean of abs(u - u*) over the second half.
     reduction : float
-        Amplitude at the start, at rest, over the amplitude in the second half.
+        Amplitude at the start over the amplitude in the second half.
     u, power : ndarray, shape (BLOCKS,)
         Where theta was, and the mean square of the amplitude.
     score : float
@@ -191,14 +191,13 @@ def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True)
         u,
         power,
     )
-    return judge_run(task, s, end, u, power, steps * s.dt)
+    return judge_run(task, s, u, power, steps * s.dt)
 
 
 def judge_run(
-    task: Task, s: Surrogate, end: int, u: NDArray[np.float64], power: NDArray[np.float64],
-    time: float,
-) -> Outcome:  # fmt: skip
-    """Judge a run of a time [s] from an end of the range, 0 or 1, where the rig had settled."""
+    task: Task, s: Surrogate, u: NDArray[np.float64], power: NDArray[np.float64], time: float
+) -> Outcome:
+    """Judge a run of a time [s]."""
     maps = task.sense * s.amplitudes
     low, high = task.scale.u(np.array([task.low, task.high])) * (maps.size - 1)
     first = math.ceil(low)
@@ -210,7 +209,7 @@ def judge_run(
     inside = np.flatnonzero(logs <= CONVERGENCE.bound(worst - best))
     share = (inside[0] + 1) / BLOCKS if inside.size else 2.0
     distance = float(np.abs(np.clip(u, 0.0, 1.0)[half:] - i / (s.amplitudes.size - 1)).mean())
-    start = float(maps[-end]) - best  # the first block may hold all of the way
+    start = 0.5 * task.sense * math.log(float(power[0])) - best
     return Outcome(
         math.exp(late),
         share * time if inside.size else math.inf,
