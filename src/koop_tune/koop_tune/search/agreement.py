@@ -306,12 +306,12 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     """
     faults, good = [], CONVERGENCE.good
     # the final map: the loops belong to it, the holds after them, and what earlier rounds knew
-    held = [(run.held, run.held_doubt) for run in runs if run.held is not None]
+    levels = [(run.amplitude, run.doubt) for run in runs]
+    levels += [(run.held, run.held_doubt) for run in runs if run.held is not None]
     final = min(
         aim.sense * aim.best,
         aim.known,
-        *(aim.sense * math.log(run.amplitude) + run.doubt for run in runs),
-        *(aim.sense * math.log(amplitude) + doubt for amplitude, doubt in held),
+        *(aim.sense * math.log(amplitude) + doubt for amplitude, doubt in levels),
     )
 
     def most(amplitude: float, doubt: float) -> float:
