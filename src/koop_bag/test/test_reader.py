@@ -48,19 +48,25 @@ def test_a_file_alone_and_the_folder_of_a_run_are_bags_too(write_loop, tmp_path)
             assert reader.message_count == 40
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
-@pytest.mark.parametrize("chunked", [True, False])
-def test_files_of_the_mcap_library_are_read(tmp_path, messages, compression, chunked):
-    path = tmp_path / "foreign.mcap"
+def write_foreign(path, messages, count, **options):
+    """Write a file of states with the writer of the mcap project."""
     with open(path, "wb") as stream:
-        writer = Writer(stream, 4096, compression, use_chunking=chunked)
+        writer = Writer(stream, **options)
         writer.start("ros2")
         schema = load_schema(LOOP["/state"])
         number = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
         channel = writer.register_channel("/state", "cdr", number)
-        for k in range(300):
+        for k in range(count):
             writer.add_message(channel, START + k, messages.loop("/state", k), START, k)
         writer.finish()
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunked", [True, False])
+def test_files_of_the_mcap_library_are_read(tmp_path, messages, compression, chunked):
+    path = tmp_path / "foreign.mcap"
+    options = {"chunk_size": 4096, "compression": compression, "use_chunking": chunked}
+    write_foreign(path, messages, 300, **options)
     with BagReader(path) as reader:
         assert reader.message_count == 300
         assert [m.sequence for m in reader.messages()] == list(range(300))
@@ -80,15 +86,7 @@ def test_what_the_summary_leaves_out_is_read_from_the_file(
         monkeypatch.setattr(
             Statistics, "write", lambda self, out: write(replace(self, **bare), out)
         )
-    with open(path, "wb") as stream:
-        writer = Writer(stream, **({} if lacking == "counts" else {lacking: False}))
-        writer.start("ros2")
-        schema = load_schema(LOOP["/state"])
-        number = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
-        channel = writer.register_channel("/state", "cdr", number)
-        for k in range(3):
-            writer.add_message(channel, START + k, messages.loop("/state", k), START, k)
-        writer.finish()
+    write_foreign(path, messages, 3, **({} if lacking == "counts" else {lacking: False}))
     with BagReader(path) as reader:
         assert (reader.message_count, reader.start_time, reader.end_time) == (3, START, START + 2)
         assert reader.topic("/state").type_name == LOOP["/state"]
