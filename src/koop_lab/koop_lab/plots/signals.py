@@ -19,9 +19,7 @@ from koop_loop.thinning import thin
 from koop_loop.training import STATE_NAMES
 
 POINTS = 4000  # columns of the drawing; more cannot be seen
-TRANSIENT = (
-    0.04  # share of the run that the axes of state and cost need not fit: 100 s of the paper
-)
+TRANSIENT = 0.04  # share of the run, 100 s of the paper, that axes of state and cost need not fit
 COST = "cost r (arbitrary unit:\nonly its slope counts)"
 Named = Mapping[str, NDArray[np.float64]]
 
