@@ -251,7 +251,7 @@ def travel(k: Knobs, state: DirectionState) -> int:
     for i in range(state.base.size):
         if state.output[i] != state.base[i]:
             ratio = abs(state.output[i] - state.base[i]) / k.largest_change[i]
-            samples = max(samples, math.ceil(ratio))
+            samples = max(samples, math.ceil(ratio - 1e-9))
     return samples
 
 
@@ -329,7 +329,8 @@ def answer(
     state : DirectionState
         State after this cost; ``theta`` is the control input to apply.
     holding, saturated : bool
-        See there; saturated: a knob is at one of its limits.
+        See there; not holding while theta moves to where a direction begins; saturated: a knob is
+        at one of its limits.
     """
     before = state.relay
     line = p if state.base.size == 1 else along(p, k, state)
@@ -345,6 +346,7 @@ def answer(
     at_end = dwelt and after.u == (line.u_min if down else line.u_max) and falls(after.swing)
     if legs == DIRECTIONS.legs or at_end:
         state = switch(p, k, state, line, before.swing.turned, at_end)
+    moved = before.since_flip == -1  # it has got to where the direction begins
     wanted, saturated, share = np.empty(state.base.size), False, 1.0
     for i in range(wanted.size):
         wanted[i] = state.base[i] + state.relay.u * state.directions[state.active, i] * k.scale[i]
@@ -358,9 +360,10 @@ def answer(
         u, before = wanted[i], state.output[i]
         aim = u if share == 1.0 else before + share * (u - before)
         state.output[i] = slew(before, aim, k.largest_change[i])
+        moved = moved or state.output[i] != before
         saturated = saturated or u <= k.lower[i] or u >= k.upper[i]
         theta = exp(state.output[i]) if p.logarithmic else state.output[i]
         if k.lower[i] <= state.output[i] <= k.upper[i]:  # not beyond a limit by rounding
             theta = min(max(theta, k.theta_lower[i]), k.theta_upper[i])
         state.theta[i] = theta
-    return state, holding, saturated
+    return state, holding and not moved, saturated

@@ -113,7 +113,7 @@ class EscRun(Run):
         }
         if not self._several and relay.outside(self._params, self._state):
             return WARN, "theta is outside its limits", values
-        if self._state.since_flip < 0:
+        if self._state.since_flip < 0 and answer.holding:
             wait = -self._state.since_flip * self._input.dt
             return WARN, f"joined a run: holding theta, seeking in {wait:.1f} s", values
         if answer.holding:

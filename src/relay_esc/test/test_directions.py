@@ -195,6 +195,19 @@ def test_a_round_along_a_valley_makes_the_valley_a_direction_and_widens_the_swin
     assert (state.begin == state.base).all()
 
 
+def test_nothing_is_held_while_theta_goes_to_where_the_next_direction_begins() -> None:
+    p, knobs, rng = config().params(DT), knobs_of(2, 0.02), np.random.default_rng(0)
+    state, active, held = start(np.full(2, 0.5), np.ones(2, np.int64)), set(), []
+    for k in range(2_000):
+        r = float(state.output @ state.output + 0.01) * math.exp(0.1 * rng.standard_normal())
+        arrival = NEXT if k else RESTART
+        state, holding, _ = directions.answer(p, knobs, state, arrival, False, False, r, False)
+        active.add(state.active)
+        held.append(holding)
+    assert active == {0, 1}
+    assert not any(held)
+
+
 def test_a_knob_begins_with_its_own_sense() -> None:
     state = start(np.zeros(2), np.array([1, -1]))
     assert state.relay.epsilon == 1
