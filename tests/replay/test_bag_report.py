@@ -130,6 +130,17 @@ def test_a_trip_is_told_and_nothing_is_compared_with_what_the_guard_held(tmp_pat
     assert re.search(r"x\[0\] +[\d.]+ +[\d.]+ +[\d.]+ %\n", text)
 
 
+def test_of_a_rig_that_is_to_be_maximised_the_growth_is_told():
+    run = read(RUN)
+    esc = replace(run.parameters.esc, objective="maximise")
+    largest = replace(run, parameters=replace(run.parameters, esc=esc))
+    for each, word in ((run, "reduction"), (largest, "growth")):
+        rows = re.findall(rf"  {word}\n(?:.*\n)*?x\[0\] +(\S+) +(\S+) +(\S+) %\n", describe(each))
+        ((before, after, percent),) = [tuple(map(float, row)) for row in rows]
+        sign = 1.0 if word == "growth" else -1.0
+        assert percent == pytest.approx(sign * 100.0 * (after / before - 1.0), abs=0.2)
+
+
 def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, capsys):
     with BagReader(RUN / "bag") as reader:
         messages = [m for m in reader.messages() if m.topic in LOOP]

@@ -19,6 +19,7 @@ from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.folder import CONTROLLER, RIG, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
+from koop_tune.search.agreement import spell_goal
 from koop_tune.search.rounds import Round, find_slowdown, kept_index, load_verification
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 
@@ -108,7 +109,8 @@ class Commissioning:
                 break
             if rounds:
                 print(verify.format_round(rounds[-1], self._rig.sense))
-                print(f"not damped: {rounds[-1].summary}; tuned again, with these recordings")
+                goal = spell_goal(self._rig.sense)
+                print(f"not {goal}: {rounds[-1].summary}; tuned again, with these recordings")
                 self._set_aside(len(rounds))
             if not self._tune(number):
                 return 1
@@ -163,7 +165,7 @@ class Commissioning:
         index = kept_index(rounds)
         old = self._folder / f"{TUNED}-{index + 1}"
         if index + 1 != len(rounds) and old.exists():
-            print(f"\nround {index + 1} damped the rig best: its controller is kept")
+            print(f"\nround {index + 1} came nearest to the best: its controller is kept")
             self._set_aside(len(rounds))
             old.rename(self._folder / TUNED)
         verification = verify.judge(self._rig, self._folder, index)

@@ -158,6 +158,11 @@ def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
     words = as_text.as_words(of(tuning))
     assert "cost raw: it is good" in words
     assert tuning.prediction.converges.as_text() in words
+    assert "\n  amplitude over the best 1" in words
+    assert "\n  reduction, a factor of " in words
+    largest = replace(tuning, chosen=replace(tuning.chosen, task=replace(tuning.task, sense=-1.0)))
+    assert "\n  best over the amplitude 1" in as_text.as_words(of(largest))
+    assert "\n  growth, a factor of " in as_text.as_words(of(largest))
 
 
 def test_the_result_holds_the_map_and_the_paths_and_is_read_as_it_was_written(tuning, tmp_path):

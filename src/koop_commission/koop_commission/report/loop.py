@@ -14,7 +14,7 @@ from koop_commission.report.drawing import BEST, MEASURED
 from koop_commission.report.runs import RunCurves, read_run
 from koop_core.errors import InputError
 from koop_tune.result.tune_result import Curves, LoopPath, TuneResult
-from koop_tune.search.agreement import spell
+from koop_tune.search.agreement import name_gains, spell
 from koop_tune.search.rounds import Round
 from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
 
@@ -26,8 +26,8 @@ COMPARED = (
     Column("distance", "distance from the best theta, of the range", ".3g"),
     Column("amplitude_before", "amplitude before", ".3g"),
     Column("amplitude", "amplitude after", ".3g"),
-    Column("excess", "over the best one", ".3g"),
-    Column("reduction", "by a factor of", ".3g"),
+    Column("excess", "", ".3g"),
+    Column("reduction", "", ".3g"),
     Column("theta", "theta at the end", ".4g"),
     Column("swing", "its swing", ".3g"),
 )
@@ -118,11 +118,8 @@ def _compare(rounds: Sequence[Round], sense: float) -> Table:
             values = [getattr(run.measured, name) for name in names]
             rows.append(("measured", *map(_make_cell, (run.start, *values))))
     summaries = [f"round {r.number}: {r.summary}" for r in rounds if r.summary]
-    columns = tuple(
-        replace(column, title="the best one over it") if column.key == "excess" and sense < 0.0
-        else column
-        for column in COMPARED
-    )  # fmt: skip
+    gains = dict(zip(("excess", "reduction"), name_gains(sense), strict=True))
+    columns = tuple(replace(c, title=gains.get(c.key, c.title)) for c in COMPARED)
     return Table("compared", "; ".join(summaries) or "Predicted and measured", columns, rows)
 
 

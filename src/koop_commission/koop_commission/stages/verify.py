@@ -20,7 +20,15 @@ from koop_tune.folder import TUNED
 from koop_tune.result import tune_result
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.agreement import Aim, find_disagreements, find_faults, spell, verdict
+from koop_tune.search.agreement import (
+    Aim,
+    find_disagreements,
+    find_faults,
+    name_gains,
+    spell,
+    spell_goal,
+    verdict,
+)
 from koop_tune.search.prediction import Band
 from koop_tune.search.rounds import (
     VERIFIED,
@@ -103,7 +111,7 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
         write_json(folder / VERIFIED, Verification((*rounds, current)))
     worse = [text for run in current.runs for text in find_disagreements(aim, run.measured)]
     faults = find_faults(aim, [run.measured for run in current.runs])
-    summary = "; ".join(faults or worse) or "damped as predicted"
+    summary = "; ".join(faults or worse) or f"{spell_goal(aim.sense)} as predicted"
     current = replace(current, agrees=not worse, damped=not faults, summary=summary)
     return _conclude((*rounds, current), len(rounds), aim, folder)
 
@@ -142,10 +150,7 @@ def format_round(item: Round, sense: float) -> str:
 
     ``sense`` is +1 if little amplitude is wanted, else -1.
     """
-    excess, reduction = (
-        ("amplitude over the best", "reduction") if sense > 0.0
-        else ("best over the amplitude", "growth")
-    )  # fmt: skip
+    excess, reduction = name_gains(sense)
     p, runs = item.prediction, [run.measured for run in item.runs]
 
     def row(name: str, values: list[float | None], band: Band, unit: float = 1.0) -> list[str]:
@@ -156,7 +161,7 @@ def format_round(item: Round, sense: float) -> str:
         row("converges within [s]", [run.time_to_converge for run in runs], p.converges),
         row("|theta - theta*| [% of range]", [run.distance for run in runs], p.distance, 100.0),
         row(excess, [run.excess for run in runs], p.excess),
-        row(f"{reduction}, a factor of", [run.reduction for run in runs], p.reduction),
+        row(reduction, [run.reduction for run in runs], p.reduction),
         ["theta at the end", *(spell(run.theta) for run in runs), ""],
         ["swing of theta", *(format_knobs(run.swing, ".3g") for run in runs), ""],
     ]

@@ -55,17 +55,21 @@ def metrics_table(metrics: Metrics, cost: str, duration: float) -> str:
     return table(columns[:shown], [row[:shown] for row in rows])
 
 
-def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
-    """Return what a run says of a rig without a known optimum: amplitudes, theta."""
+def rig_table(metrics: RigMetrics, names: Sequence[str], grows: bool = False) -> str:
+    """Return what a run says of a rig without a known optimum: amplitudes, theta.
+
+    ``grows`` says that its amplitude is to be large.
+    """
+    change, unit = ("growth", -100.0) if grows else ("reduction", 100.0)
     rows = [
-        [name, _known(before, ".4g"), _known(after, ".4g"), _known(100.0 * share, ".1f", " %")]
+        [name, _known(before, ".4g"), _known(after, ".4g"), _known(unit * share, ".1f", " %")]
         for name, before, after, share in zip(
             names, metrics.before, metrics.after, metrics.reduction, strict=True
         )
     ]
     interference = any(name.startswith("true ") for name in names)
     lines = [
-        table(["oscillation amplitude", "before", "after", "reduction"], rows),
+        table(["oscillation amplitude", "before", "after", change], rows),
         "as measured, with the interference"
         + ("; 'true': without it" if interference else ", which 'koop verify' leaves out"),
         "sqrt(2) times the standard deviation about a straight line, in windows of "

@@ -183,7 +183,8 @@ def describe(run: RecordedRun) -> str:
     lines = [metrics_table(metrics, run.cost, duration), ""] if metrics is not None else []
     if loop is not None and loop.trips is not None:
         lines += [describe_trips(loop.trips), ""]
-    lines += [rig_table(rig, names), ""]
+    grows = run.parameters is not None and run.parameters.esc.objective == "maximise"
+    lines += [rig_table(rig, names, grows), ""]
     if loop is not None:
         lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)
         lines.append(

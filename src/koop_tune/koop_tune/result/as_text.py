@@ -18,6 +18,7 @@ from koop_tune.result.parameter_text import (
 )
 from koop_tune.result.tune_result import TuneResult
 from koop_tune.rig.rig_file import RigFile
+from koop_tune.search.agreement import name_gains
 from koop_tune.search.run import make_lifter
 from koop_tune.search.tune_knobs import KnobsTuning
 from koop_tune.search.tuning import Tuning
@@ -77,9 +78,7 @@ def as_words(tuned: KnobsTuning) -> str:
     tuning, p, names = tuned.tuning, tuned.prediction, tuned.rig.knob_names
     c, several = tuning.best.constants, len(names) > 1
     span = "of log theta's range" if tuning.findings.scale.logarithmic else "of theta's range"
-    direction, excess = "down", "amplitude over the best one"
-    if tuning.task.sense < 0:
-        direction, excess = "up", "best amplitude over that then"
+    excess, reduction = name_gains(tuning.task.sense)
     notes = [f"in doubt: {tuning.findings.doubt}"] if tuning.findings.doubt else []
     if (safe := tuning.findings.safe) is not None and not safe.fixed:
         best = tuning.findings.scale.theta_at(tuning.findings.static_map.best())
@@ -101,7 +100,7 @@ def as_words(tuned: KnobsTuning) -> str:
             f"  converges within {p.converges.as_text()} s",
             f"  then |theta - theta*| is {p.distance.as_text(100.0)} % {span} on average",
             f"  {excess} {p.excess.as_text()}",
-            *[f"  amplitude {direction} by a factor of {p.reduction.as_text()}"] * (not several),
+            *[f"  {reduction} {p.reduction.as_text()}"] * (not several),
         ]
     )
 

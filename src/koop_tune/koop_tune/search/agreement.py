@@ -396,6 +396,13 @@ def spell_goal(sense: float) -> str:
     return "damped" if sense > 0.0 else "at its strongest oscillation"
 
 
+def name_gains(sense: float) -> tuple[str, str]:
+    """Return what the excess and the reduction of a loop are called."""
+    if sense > 0.0:
+        return "amplitude over the best", "reduction, a factor of"
+    return "best over the amplitude", "growth, a factor of"
+
+
 def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
     """Return the verdict of a verification in a few lines: the answer, of what, and at what price.
 
