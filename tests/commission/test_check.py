@@ -12,12 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commission_rig import RIG
-from std_msgs.msg import Float64, Float64MultiArray
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Float64, Float64MultiArray, Int16MultiArray, Int32
+from unique_identifier_msgs.msg import UUID
 from waiting import TIMEOUT, wait
 
 from koop_commission.fitness.fitness import BAD, NOTE
 from koop_commission.fitness.settings import CheckSettings
+from koop_commission.rig.graph import describe_rest
 from koop_commission.stages.check import check_rig
+from koop_core.config.fields import parse_field, read_field, write_field
 from koop_core.config.parameter import ConfigError
 from koop_core.stream.report import GHOST
 
@@ -128,6 +132,21 @@ def test_theta_returns_though_the_test_of_the_time_out_is_killed(fast_rig, tmp_p
     wait(lambda: fast_rig.theta == RIG.theta_safe, "theta to return")
     assert len(silences_of(fast_rig)) == 1
     assert max(silences_of(fast_rig).values()) < 16.0  # 8 s, and those of a busy machine
+
+
+@pytest.mark.parametrize(
+    ("message", "field"), [(Int32(), "data"), (Int16MultiArray(), "data[1]"), (UUID(), "uuid[3]")]
+)
+def test_theta_is_rounded_where_the_command_takes_whole_numbers_and_that_is_said(message, field):
+    for value, whole in ((2.9999999, 3), (0.6, 1), (0.4, 0), (2.0, 2)):
+        write_field(parse_field(field), message, value)
+        sent = deserialize_message(serialize_message(message), type(message))
+        assert read_field(parse_field(field), sent) == whole
+    rig = replace(RIG, command=f"/fast/knob:{field}")
+    kinds = [f"{type(message).__module__.partition('.')[0]}/msg/{type(message).__name__}"]
+    said = f"/fast/knob: {field} takes whole numbers: theta is rounded, set limits that are"
+    assert describe_rest(rig, kinds) == said
+    assert describe_rest(RIG, ["std_msgs/msg/Float64"]) == ""
 
 
 def test_a_mistake_of_the_user_is_a_finding(fast_rig, probe):

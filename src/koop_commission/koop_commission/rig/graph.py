@@ -73,13 +73,16 @@ def describe_other_commanders(client: Client, rig: RigFile) -> str:
 
 
 def describe_rest(rig: RigFile, command_types: Sequence[str]) -> str:
-    """Return in words the numbers of a command that are not theta's; empty: there are none."""
+    """Return in words what a command sends but theta as it is; empty: nothing."""
     from koop_node.node.managed import message_type
 
     for source, kind in zip(rig.command_sources, command_types, strict=True):
         message = message_type(kind)()
         for path in source.fields:
-            write_field(path, message, 1.0)
+            write_field(path, message, 0.5)
+            if read_field(path, message) != 0.5:
+                field = f"{source.topic}: {format_field(path)}"
+                return f"{field} takes whole numbers: theta is rounded, set limits that are"
         rest = [path for path in numbers_of(message) if path not in source.fields]
         if rest and kind != THETA_TYPE:
             sent = ", ".join(f"{format_field(p)} = {read_field(p, message):g}" for p in rest)

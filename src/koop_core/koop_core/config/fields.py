@@ -16,7 +16,7 @@ import math
 import re
 from collections.abc import Iterator
 from itertools import islice
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 from koop_core.config.parameter import ConfigError
@@ -152,20 +152,22 @@ def read_field(path: Path, message: Any) -> float:
 
 
 def write_field(path: Path, message: Any, value: float) -> None:
-    """Set a number of a message, or raise ConfigError; short arrays are filled with zeros."""
+    """Set a number of a message, rounded where it takes whole ones, or raise ConfigError.
+
+    Short arrays are filled with zeros.
+    """
     *above, (name, index) = path
     for part, place in above:
         message = getattr(message, part)
         message = message if place is None else message[place]
-    if index is None:
-        setattr(message, name, type(getattr(message, name))(value))
-        return
-    elements = getattr(message, name)
+    field = getattr(message, name)
     try:
-        kind = int if getattr(elements, "typecode", "d") not in "fd" else float
-        while len(elements) <= index:
-            elements.append(kind(0))
-        elements[index] = kind(value)
+        if index is None:
+            setattr(message, name, round(value) if isinstance(field, Integral) else float(value))
+            return
+        while len(field) <= index:
+            field.append(0)
+        field[index] = round(value) if isinstance(field[index], Integral) else float(value)
     except (AttributeError, TypeError, IndexError):
         raise ConfigError(f"{type(message).__name__}: '{name}' takes no number there") from None
 
