@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import _check_feature_names_in, check_is_fitted, validate_data
 
 from koop_core.errors import InputError
 from koopman_lifter.edmd import Gram
@@ -38,6 +38,8 @@ class EDMD(TransformerMixin, BaseEstimator):  # type: ignore[misc]
         2 pi f dt, and ``model_.energies`` says how strong it is.
     n_features_in_ : int
         Number n of components of the state.
+    feature_names_in_ : ndarray of str, shape (n,)
+        Their names, where the state has them: a DataFrame. Else they are x0, x1 and so on.
 
     Examples
     --------
@@ -80,7 +82,7 @@ class EDMD(TransformerMixin, BaseEstimator):  # type: ignore[misc]
                 )
             self._gram = Gram.empty(Monomials(n, degree))
         self._gram.add_trajectory(states.T)
-        names = tuple(f"x{i}" for i in range(states.shape[1]))
+        names = tuple(_check_feature_names_in(self))
         self.model_: KoopmanModel = build(self._gram, self.dt, names, index(self.modes), {})
         self.eigenvalues_ = self.model_.eigenvalues
         return self
@@ -98,8 +100,8 @@ class EDMD(TransformerMixin, BaseEstimator):  # type: ignore[misc]
     def get_feature_names_out(self, input_features: ArrayLike | None = None) -> NDArray[Any]:
         """Return the observables in words, for example ``x0^2*x1``, shape (p,)."""
         check_is_fitted(self)
-        names = self.model_.state_names if input_features is None else input_features
-        return np.array(self.model_.observables.names(tuple(np.asarray(names))), dtype=object)
+        names = tuple(_check_feature_names_in(self, input_features))
+        return np.array(self.model_.observables.names(names), dtype=object)
 
     def _check(self, X: ArrayLike) -> NDArray[np.float64]:
         check_is_fitted(self)

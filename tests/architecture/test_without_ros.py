@@ -11,6 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sklearn.preprocessing import PolynomialFeatures
+from sklearn.utils.estimator_checks import (
+    check_dataframe_column_names_consistency,
+    check_transformer_get_feature_names_out_pandas,
+)
 
 from koop_loop.loop import simulate
 from koopman_lifter.config import LifterConfig
@@ -162,6 +167,22 @@ def test_its_public_names_are_found_and_its_estimator_is_one_of_scikit_learn(pyt
 def test_a_mistake_with_arrays_is_named_and_a_fitted_estimator_is_a_model(python):
     done = python(MISTAKES)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_columns_of_a_data_frame_name_the_states_as_in_scikit_learn():
+    pandas = pytest.importorskip("pandas", reason="it comes with the plants")
+    sys.path.append(str(WHEEL))
+    from koop_esc import EDMD
+
+    check_transformer_get_feature_names_out_pandas("EDMD", EDMD(degree=1))
+    check_dataframe_column_names_consistency("EDMD", EDMD(degree=1))
+    x = np.random.default_rng(0).standard_normal((90, 2))
+    edmd = EDMD(degree=2, modes=2).fit(pandas.DataFrame(x, columns=["roll", "pitch"]))
+    expected = PolynomialFeatures(2).fit(pandas.DataFrame(x, columns=["roll", "pitch"]))
+    names = [name.replace(" ", "*") for name in expected.get_feature_names_out()]
+    assert list(edmd.get_feature_names_out()) == names
+    assert edmd.model_.state_names == ("roll", "pitch")
+    assert edmd.fit(x).model_.state_names == ("x0", "x1")
 
 
 def test_it_answers_a_recording_as_the_nodes_did_over_dds(python):
