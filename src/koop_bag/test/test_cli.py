@@ -42,19 +42,25 @@ def koop(capsys):
 # -- info -------------------------------------------------------------------------------------
 
 
-def test_info_says_where_files_of_several_bags_may_be_read_as_one(write_loop, koop, tmp_path):
+def test_files_of_several_bags_are_not_read_as_one(write_loop, koop, tmp_path):
     whole = write_loop(n=20)
     (file,) = whole.glob("*.mcap")
-    assert "read as one bag" not in koop("info", whole)[1]
     several = tmp_path / "several"
     several.mkdir()
-    for name in ("monday_0.mcap", "monday_1.mcap"):
+    names = ["monday_0.mcap", "monday_1.mcap", "tuesday.mcap"]
+    for name in names[:2]:
         (several / name).write_bytes(file.read_bytes())
-    assert "read as one bag" not in koop("info", several)[1]
-    (several / "tuesday.mcap").write_bytes(file.read_bytes())
-    text = koop("info", several)[1]
-    assert "monday_0.mcap, monday_1.mcap, tuesday.mcap are read as one bag; if they are se" in text
-    assert json.loads(koop("info", several, "--json")[1])["unrelated"][2] == "tuesday.mcap"
+    assert koop("info", several)[0] == 0
+    (several / names[2]).write_bytes(file.read_bytes())
+    for command in ("info", "recover"):
+        code, _, errors = koop(command, several)
+        assert code == 2
+        assert f"{several} holds monday_0.mcap, tuesday.mcap, monday_1.mcap: name one" in errors
+    assert koop("info", several / "tuesday.mcap")[0] == 0
+    metadata = yaml.safe_load((whole / "metadata.yaml").read_text())
+    metadata["rosbag2_bagfile_information"]["relative_file_paths"] = names
+    (several / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    assert koop("info", several)[0] == 0
 
 
 def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tmp_path):

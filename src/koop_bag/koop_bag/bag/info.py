@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -43,8 +42,6 @@ class BagInfo:
     model_ids: list[str]
     custom: dict[str, str]
     parameters: dict[str, dict[str, Any]]
-    unrelated: list[str]
-    """Names of the files, if neither they nor the bag's metadata show that they are of one bag."""
 
 
 def describe(bag: BagReader) -> BagInfo:
@@ -89,17 +86,7 @@ def describe(bag: BagReader) -> BagInfo:
         model_ids=[model for model in models if model],
         custom=bag.custom_data(),
         parameters=bag.parameters,
-        unrelated=_unrelated(bag),
     )
-
-
-def _unrelated(bag: BagReader) -> list[str]:
-    names = sorted(path.name for path in bag.files)
-    listed = bag.description.get("relative_file_paths")
-    bags = {re.sub(r"(_\d+)?\.mcap$", "", name) for name in names}
-    if len(bags) < 2 or (isinstance(listed, list) and set(names) <= set(map(str, listed))):
-        return []
-    return names
 
 
 def as_text(info: BagInfo, with_parameters: bool = False) -> str:
@@ -113,12 +100,6 @@ def as_text(info: BagInfo, with_parameters: bool = False) -> str:
         f"time      {begin}, {info.duration:.3f} s",
         f"messages  {info.messages}",
     ]
-    if info.unrelated:
-        few, rest = info.unrelated[:3], len(info.unrelated) - 3
-        lines.append(
-            f"note      {', '.join(few)}{f' and {rest} more' * (rest > 0)} are read as one bag; if "
-            "they are several, name one of the files"
-        )
     if info.model_ids:
         lines.append(f"model     {', '.join(info.model_ids)}")
     if revision := info.custom.get("git_revision"):
