@@ -9,6 +9,7 @@ import pytest
 from browser import browse
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from koop_msgs.msg import ControlInput, Cost, GuardState, LoopSummary, MeasuredState
+from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
@@ -251,7 +252,9 @@ def test_a_damaged_bag_is_named_and_the_others_are_reported(tmp_path, capsys):
                 writer.write(channel, time, time, serialize_message(message))
     files = sorted(tmp_path.rglob("*.mcap"))
     data = bytearray(files[1].read_bytes())
-    middle = len(data) // 2
+    with open(files[1], "rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    middle = chunks[len(chunks) // 2].chunk_start_offset + 200  # not its head: others follow
     data[middle : middle + 64] = bytes(64)
     files[1].write_bytes(data)
     files[2].write_bytes(b"of no bag")
@@ -265,6 +268,16 @@ def test_a_damaged_bag_is_named_and_the_others_are_reported(tmp_path, capsys):
     for words in ("is damaged: ", "`koop bag recover` saves the rest", "is not an MCAP file"):
         assert words in notes
         assert words in text
+    run = files[1].parents[1]
+    assert f"what './koop bag recover {run / 'bag'}' makes of it is read in its place" in notes
+    assert main(["bag", "recover", str(run)]) == 0
+    assert main(["report", str(tmp_path)]) == 0
+    assert str(run) not in capsys.readouterr().err
+    times = read_page(tmp_path / "history.html")[0]["Amplitude"]["series"][1]["x"]
+    assert max(times) >= BEGIN + 85  # what stands behind the damage, too
+    files[1].write_bytes(data)  # what is written after it was recovered is not in it
+    assert main(["report", str(tmp_path)]) == 0
+    assert str(run) in capsys.readouterr().err
     for file in files:
         file.write_bytes(b"of no bag")
     assert main(["report", str(tmp_path)]) == 2

@@ -72,6 +72,7 @@ def _recover(args: argparse.Namespace) -> int:
     from koop_bag.bag.recover import recover
 
     bag = args.bag.resolve()
+    bag = bag / "bag" if (bag / "bag").is_dir() else bag
     target = args.target or bag.with_name(f"{bag.stem}_recovered")
     report = recover(args.bag, target)
     with BagReader(target) as reader:

@@ -110,8 +110,9 @@ class _Parts:
         try:
             yield
         except BagError as error:
-            why = f"{bag} is left out, or a part of it: {error}; a whole bag in its place is read"
-            self.damaged.setdefault(bag, why)
+            why = f"{bag} is left out, or a part of it: {error}"
+            made = f"what './koop bag recover {bag}' makes of it is read in its place"
+            self.damaged.setdefault(bag, f"{why}; {made}")
 
     def add(self, loop: str, rows: Rows, models: Sequence[str]) -> None:
         """Take seconds of a loop."""
@@ -190,10 +191,17 @@ def _refuse(why: str, parts: _Parts) -> InputError:
     return InputError("; ".join([why, *[*parts.damaged.values()][:1]]))
 
 
+def _find_whole(bag: Path) -> Path:
+    """Return a bag, or what ``koop bag recover`` has made of it since it was last written."""
+    recovered = bag.with_name(f"{bag.name}_recovered")
+    last = max((file.stat().st_mtime for file in bag.glob("*.mcap")), default=math.inf)
+    return recovered if recovered.is_dir() and recovered.stat().st_mtime > last else bag
+
+
 def _look_at(folder: Path, parts: _Parts) -> RunSpan:
     begin, end, closed = np.inf, 0.0, True
     for name in (SUMMARY, BAG):
-        path = folder / name
+        path = _find_whole(folder / name)
         if not path.is_dir():
             continue
         with parts.note_damage(path), BagReader(path) as bag:
@@ -205,7 +213,7 @@ def _look_at(folder: Path, parts: _Parts) -> RunSpan:
 
 def _read_run(run: RunSpan, parts: _Parts) -> None:
     start = parts.start
-    path = run.folder / SUMMARY
+    path = _find_whole(run.folder / SUMMARY)
     if path.is_dir():
         with parts.note_damage(path), BagReader(path) as bag:
             with parts.note_damage(path):
@@ -219,7 +227,7 @@ def _read_run(run: RunSpan, parts: _Parts) -> None:
                 loop = topic.rpartition("/")[0]
                 parts.add(loop, from_columns(columns), columns["model_id"].tolist())
                 start = max(start, int(columns["header.stamp"][-1]) + SECOND)
-    path = run.folder / BAG
+    path = _find_whole(run.folder / BAG)
     with parts.note_damage(path), BagReader(path) as bag:
         with parts.note_damage(path):
             _read_events(bag, parts, start)
