@@ -339,6 +339,23 @@ def test_a_topic_that_falls_silent_though_its_publisher_is_there_is_reported(tmp
         talker.spin_until(lambda: not said(), "its end")
 
 
+def test_a_publisher_of_another_type_than_the_one_that_is_recorded_is_told(tmp_path, messages):
+    with Recorder(tmp_path / "run") as recorder, Talker() as talker, Talker("other") as other:
+        publish(talker.publishers(LOOP), messages.loop, range(10))
+        recorder.wait_for("/state", 10)
+        assert "/state is published as" not in recorder.output()
+        other.node.create_publisher(message_type(BLOB), "/state", 10)
+        wait_until(
+            lambda: (
+                f"/state is published as {BLOB}, which is not recorded: it is recorded as "
+                f"{LOOP['/state']}" in recorder.output()
+            ),
+            "a word about the other type",
+        )
+        recorder.stop()
+        assert recorder.output().count("/state is published as") == 1
+
+
 def publish_blobs(talker, recorder, numbers, size=10_000):
     """Publish numbered messages that no compression makes smaller, and wait for the last."""
     (publisher,) = talker.publishers({"/blob": BLOB}).values()

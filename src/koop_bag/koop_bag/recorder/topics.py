@@ -111,7 +111,13 @@ class RecordedTopic:
         if told == self._told:
             return
         self._told = told
-        infos = self._node.get_publishers_info_by_topic(self.name)
+        every, kind = self._node.get_publishers_info_by_topic(self.name), self.schema.name
+        infos = [info for info in every if info.topic_type == kind]
+        if others := sorted({info.topic_type for info in every} - {kind}):
+            self._node.get_logger().warning(
+                f"{self.name} is published as {' and '.join(others)}, which is not recorded: it is "
+                f"recorded as {kind}"
+            )
         if not infos:
             return
         self.publishers |= {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos}
