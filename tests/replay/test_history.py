@@ -285,6 +285,26 @@ def test_a_damaged_bag_is_named_and_the_others_are_reported(tmp_path, capsys):
     assert "is not an MCAP file" in error
 
 
+def test_a_time_before_the_clock_was_set_does_not_stretch_the_axis(tmp_path, capsys):
+    boot = 30
+    for run, times in (("a", (boot,)), ("b", (boot, BEGIN)), ("c", (BEGIN + 60,))):
+        with BagWriter(tmp_path / run / "bag") as writer:
+            channel = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+            for k in range(1000 * len(times)):
+                time = times[k // 1000] * 10**9 + k % 1000 * 10**7
+                message = MeasuredState(step=k, x=[np.sin(2.0 * np.pi * k / 100)])
+                writer.write(channel, time, time, serialize_message(message))
+    assert main(["report", str(tmp_path)]) == 0
+    told, notes = capsys.readouterr()
+    assert "20 s recorded in 2 runs" in told
+    assert f"{tmp_path / 'a'} is left out, its clock was not set: name its folder alone" in notes
+    panels, _ = read_page(tmp_path / "history.html")
+    assert {x // DAY for x in panels["Amplitude"]["series"][1]["x"]} == {BEGIN // DAY}
+    assert main(["report", str(tmp_path / "a")]) == 0
+    panels, _ = read_page(tmp_path / "a" / "history.html")
+    assert max(panels["Amplitude"]["series"][1]["x"]) < 60
+
+
 @pytest.mark.parametrize(("width", "dark"), [(390, True), (1280, False)])
 def test_the_page_is_drawn_by_a_browser(week, width, dark, tmp_path):
     assert main(["report", str(week)]) == 0

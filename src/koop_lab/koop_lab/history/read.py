@@ -39,6 +39,7 @@ GUARD = (
 )  # fmt: skip
 HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
 LABEL = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
+CLOCK_SET = 946_684_800  # [s since the epoch], the year 2000: a clock that shows less was not set
 LONG, SHORT, FINE = 7200.0, 10.0, 60.0  # [s]: within a span of LONG, amplitudes of SHORT, or FINE
 
 
@@ -157,6 +158,10 @@ def read_history(paths: Sequence[Path], since: float | None = None) -> list[Hist
     if not runs:
         raise _refuse(f"{paths[0]}: holds no recording with a message in it", parts)
     end = max(run.end for run in runs)
+    for run in [run for run in runs if run.end < CLOCK_SET < end]:
+        why = "its clock was not set: name its folder alone"
+        parts.damaged[run.folder] = f"{run.folder} is left out, {why}"
+        runs.remove(run)
     start = math.floor(min(run.begin for run in runs) if since is None else end - since)
     runs = [replace(run, begin=max(run.begin, start)) for run in runs if run.end > start]
     parts.width, parts.start = SHORT if end - start < LONG else FINE, start * SECOND
@@ -206,7 +211,10 @@ def _look_at(folder: Path, parts: _Parts) -> RunSpan:
             continue
         with parts.note_damage(path), BagReader(path) as bag:
             if bag.message_count:
-                begin, end = min(begin, bag.start_time * 1e-9), max(end, bag.end_time * 1e-9)
+                first, last = bag.start_time, bag.end_time
+                if first < CLOCK_SET * SECOND < last:  # it was set meanwhile
+                    first = next(bag.messages(start=CLOCK_SET * SECOND)).log_time
+                begin, end = min(begin, first * 1e-9), max(end, last * 1e-9)
             closed = bag.complete
     return RunSpan(folder, begin, end, closed)
 
