@@ -7,16 +7,21 @@ import subprocess
 import sys
 
 import pytest
-from koop_msgs.msg import MeasuredState
+from koop_msgs.msg import ControlInput, MeasuredState
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rclpy.duration import Duration
 from waiting import TIMEOUT, wait
 
 from koop_bag.bag.reader import BagReader
+from koop_bringup.live.loop import LiveLoop
 from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import main
+from koop_loop.parameters import make
 
 pytestmark = pytest.mark.ros
+
+FAR = 10**9  # a step that no run here comes to
 
 
 def demo(folder, *arguments, stdout=subprocess.PIPE):
@@ -135,3 +140,38 @@ def test_a_demo_that_is_stopped_leaves_a_whole_bag_and_no_process(tmp_path, numb
     assert "Traceback" not in printed
     assert not processes_of(folder)
     assert_whole(folder)
+
+
+def test_what_composed_nodes_journal_and_what_others_publish_is_recorded_once(tmp_path, probe):
+    """The recorder hears none of the loop's topics, until somebody else publishes one."""
+    parameters = make({"vdp_plant": {"pace": "realtime", "duration": 1e6}})
+    states = probe.collect(MeasuredState, "/state")
+
+    def recorder_hears(topic):
+        infos = probe.node.get_subscriptions_info_by_topic(topic)
+        return "recorder" in [info.node_name for info in infos]
+
+    with LiveLoop(tmp_path, parameters, composed=True) as loop:
+        probe.spin_until(lambda: states, "the first state")
+        other = probe.node.create_publisher(ControlInput, "/theta", 10)
+        names = ("state", "ground_truth", "cost", "theta")
+        probe.spin_until(
+            lambda: [n for n in names if recorder_hears(f"/{n}")] == ["theta"], "who hears what"
+        )
+        for step in range(FAR, FAR + 5):  # of no state: the plant does not obey
+            other.publish(ControlInput(step=step, theta=[1.0]))
+        assert other.wait_for_all_acked(Duration(seconds=60.0))
+        probe.spin_until(lambda: states[-1].step > 500, "half a thousand states")
+        loop.end()
+    steps = {name: [] for name in names}
+    with open(next((tmp_path / "bag").glob("*.mcap")), "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages([f"/{n}" for n in names]):
+            steps[channel.topic[1:]].append(message.step)
+    assert [step for step in steps["theta"] if step >= FAR] == list(range(FAR, FAR + 5))
+    last = len(steps["cost"]) - 1
+    assert last > 500
+    for name, found in steps.items():
+        own = [step for step in found if step < FAR]
+        assert own == list(range(len(own))), name
+        assert abs(len(own) - 1 - last) <= 1, name

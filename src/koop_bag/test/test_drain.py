@@ -1,8 +1,11 @@
 """What the recorder takes in compiled code, beside what rclpy takes of the same topic."""
 
 import ctypes
+import os
 import random
 import struct
+import subprocess
+import sys
 import time
 from contextlib import suppress
 from dataclasses import asdict
@@ -18,6 +21,8 @@ from koop_bag.bag.losses import LossCounter
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
 from koop_bag.recorder.drain import AT_ONCE, HAS_STEP, MOST, ROOM, STEP, Drain, Rows
 from koop_bag.recorder.topics import RecordedTopic, fetch, skip, subscribe, watch
+from koop_core.journal import PATH, Journal, Topic, append, make_journal
+from koop_core.journal import ROOM as ROOM_OF_JOURNAL
 from koop_node.node.managed import message_type
 
 pytestmark = pytest.mark.ros
@@ -260,3 +265,88 @@ def test_topics_are_merged_in_the_order_of_reception_and_channels_opened_in_it(n
     assert [row[1] for row in fetch(drain, topics, watched).rows()] == [1]
     assert (topics[1].losses.lost, topics[1].losses.inactive) == (0, 9)
     assert list(fetch(drain, [], {}).rows()) == []
+
+
+@pytest.fixture
+def journal():
+    descriptor, environment = make_journal()
+    yield Journal(environment[PATH])
+    os.close(descriptor)
+
+
+def write(place, data):
+    """Write as compiled code does, from the message's own memory; False: there was no room."""
+    return append(place, np.frombuffer(data, np.uint8).ctypes.data, len(data))
+
+
+def take_journal(drain, taken):
+    """Add to what was taken of topics 0 and 1; return how much."""
+    count = 0
+    for some, messages in zip(drain.take([0, 1]), taken, strict=True):
+        rows = list(Batch(some.table, drain.data).rows())
+        assert [row[0] for row in rows] == sorted(row[2] for row in rows)
+        assert [step_of(row[3]) for row in rows] == some.table[:, STEP].tolist()
+        messages += [row[3] for row in rows]
+        count += len(rows)
+    return count
+
+
+def test_a_journal_gives_all_that_found_room_whole_and_in_order(journal, messages, rng):
+    """Many times its size, with a reader that lags; of a third topic nobody takes."""
+    drain = Drain(journal)
+    names = ("/state", "/theta", "/other")
+    places = [journal.place(Topic(name, "pkg/msg/Any", "/node")) for name in names]
+    written, taken, bytes_written, refused = ([], []), ([], []), 0, 0
+    number = 0
+    while bytes_written < 5 * ROOM_OF_JOURNAL * 8:
+        for _ in range(rng.choice([1, 100, 3000])):
+            which, number = rng.randrange(3), number + 1
+            data = messages.loop("/state", number, frame_id="f" * rng.randrange(3000))
+            if write(places[which], data):
+                bytes_written += len(data)
+                if which < 2:
+                    written[which].append(data)
+            else:
+                refused += 1
+        for _ in range(rng.choice([0, 0, 1, 3])):
+            take_journal(drain, taken)
+    while take_journal(drain, taken):
+        pass
+    assert taken == written
+    assert refused
+    assert min(map(len, written)) > 1000
+
+
+def test_rows_of_a_journal_count_losses_as_those_of_subscriptions_do(journal, messages):
+    drain = Drain(journal)
+    place = journal.place(Topic("/state", "pkg/msg/Any", "/node"))
+    for steps, follow in (([0, 1, 2], True), ([3, 5, 6], False), ([], False), ([7], True)):
+        for step in steps:
+            assert write(place, messages.loop("/state", step))
+        (rows,) = drain.take([0])
+        assert rows.follow is follow
+        assert rows.table[:, STEP].tolist() == steps
+
+
+def test_what_a_killed_writer_has_written_is_read(messages):
+    descriptor, environment = make_journal()
+    code = (
+        "import os, numpy as np\n"
+        "from koop_core.journal import Topic, append, journal_of_process\n"
+        "journal = journal_of_process()\n"
+        "place = journal.place(Topic('/state', 'pkg/msg/Any', '/node'))\n"
+        "for n in range(1000):\n"
+        "    data = np.frombuffer(b'%04d' % n, np.uint8)\n"
+        "    assert append(place, data.ctypes.data, 4)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], env=os.environ | environment)
+    assert ended.returncode == -9
+    journal = Journal(environment[PATH])
+    os.close(descriptor)
+    drain = Drain(journal)
+    assert journal.topics() == [Topic("/state", "pkg/msg/Any", "/node")]
+    (rows,) = drain.take([0])
+    assert [row[3] for row in Batch(rows.table, drain.data).rows()] == [
+        b"%04d" % n for n in range(1000)
+    ]

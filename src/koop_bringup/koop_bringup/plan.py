@@ -12,6 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from platform import machine
 from typing import Any, NamedTuple
 
 from koop_bag.recorder.config import RECORDER, RecorderConfig
@@ -158,6 +159,11 @@ class Plan:
         names = [node.name for node in self.nodes if node.name in COMPONENTS]
         components = tuple(COMPONENTS[name] for name in names)
         return (*apart, PlannedNode(names[-1], *CONTAINER, components))
+
+    @property
+    def journaled(self) -> bool:
+        """Whether the composed nodes write for the recorder: :mod:`koop_core.journal`."""
+        return self.composed and "recorder" in self.parameters and machine() in ("x86_64", "AMD64")
 
     @property
     def environment(self) -> dict[str, str]:

@@ -11,6 +11,7 @@ processes only, and what ``SetParameter`` gives to a group reaches the nodes tha
 """
 
 import asyncio
+import os
 import signal
 import sys
 import time
@@ -38,6 +39,7 @@ from launch_ros.actions import Node
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments, return_time
 from koop_core.config.parameter_file import write
+from koop_core.journal import make_journal
 from koop_guard.config import SAFETY
 from koop_guard.note import TWIN
 from koop_loop.ending import Ending, describe_end, ending
@@ -87,6 +89,9 @@ def _start(context: LaunchContext) -> list:
         "sigterm_timeout": str(STOP_TIMEOUT + returning),
         "prefix": LaunchConfiguration("launch-prefix", default=""),
     }
+    environment = {**TIED, **planned.environment}
+    if planned.journaled:
+        environment |= loop.make_journal()
     files = [item for item in of_group if not isinstance(item, tuple)]
     for node in planned.processes():
         loop.processes.append(
@@ -99,7 +104,7 @@ def _start(context: LaunchContext) -> list:
                 namespace=planned.namespace or "/",
                 parameters=[*files, file],
                 on_exit=loop.on_exit(node.name, node.executable if node.arguments else ""),
-                additional_env={**TIED, **planned.environment},
+                additional_env=environment,
                 **shared,
             )
         )
@@ -161,6 +166,12 @@ class _Loop:
         self._failure = ""  # why the launch is to end with exit code 1
         self._place = ExitStack()
         self._place.enter_context(place)
+
+    def make_journal(self) -> dict[str, str]:
+        """Make a journal for as long as the loop lasts; return what its processes know it by."""
+        descriptor, environment = make_journal()
+        self._place.callback(os.close, descriptor)
+        return environment
 
     def on_exit(self, node: str, container: str = ""):
         """Return what to do when a node ends, or the container whose end counts as the node's."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from koop_core.borrowed import overlay
 from koop_core.foreign import call
+from koop_core.journal import NOWHERE, Place, append
 from koop_core.kernels import njit
 
 IDLE, MORE, OTHER, FAILED = range(4)
@@ -47,11 +48,13 @@ class Port(NamedTuple):
     """Bytes of a message."""
     at: NDArray[np.int64]
     """Shape (V,): offsets of the values that the code reads or writes, in its order."""
+    journal: Place
+    """Of a publisher: where its messages are written, too."""
 
 
 NO_PORT = Port(
     0, 0, np.zeros(8, np.int64), np.zeros(1, np.int64), np.zeros(1, np.uint8),
-    np.zeros((1, 2), np.int64), 0, np.zeros(1, np.int64),
+    np.zeros((1, 2), np.int64), 0, np.zeros(1, np.int64), NOWHERE,
 )  # fmt: skip
 """What compiled code is compiled with before there is a subscription."""
 
@@ -80,7 +83,10 @@ def receive(port: Port) -> int:
 @njit()
 def send(port: Port) -> bool:
     """Publish what is in the memory; return whether rcl did."""
-    return call(port.function, port.handle, port.message.ctypes.data, 0, 0) == 0
+    if call(port.function, port.handle, port.message.ctypes.data, 0, 0) != 0:
+        return False
+    append(port.journal, port.message[0], port.message[1])
+    return True
 
 
 @njit()

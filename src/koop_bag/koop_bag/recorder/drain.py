@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from koop_bag.bag.losses import LossCounter
 from koop_bag.mcap.chunk import BEGIN, CHANNEL, LOG_TIME, PUBLISH_TIME, SIZE
 from koop_core.foreign import call
+from koop_core.journal import FIRST, HEAD, READ, TOPICS, WRITTEN, Journal
+from koop_core.journal import ROOM as JOURNAL_ROOM
 from koop_core.kernels import direct, njit
 from koop_core.port import take
 from koop_node.node.memory import Memory, address_of, functions
@@ -31,6 +33,8 @@ MOST = 1 << 24  # [B] beyond which the buffer is given up again
 
 NONE: NDArray[np.int64] = np.empty((0, 7), np.int64)
 """No rows."""
+NO_IDS: NDArray[np.int64] = np.empty((0, 2), np.int64)
+"""No publishers."""
 
 
 class Rows(NamedTuple):
@@ -86,10 +90,20 @@ class _Taken(NamedTuple):
     the last."""
 
 
+@njit()
+def _is_one_of(publishers: NDArray[np.int64], info: NDArray[np.int64]) -> bool:
+    """Return whether a message comes from one of some publishers, shape (P, 2): the ids' words."""
+    for i in range(publishers.shape[0]):
+        if info[5] == publishers[i, 0] and info[6] == publishers[i, 1]:
+            return True
+    return False
+
+
 @njit(nogil=True)
 def _drain(
     functions: tuple[int, int],
     handles: NDArray[np.int64],
+    own: NDArray[np.int64],
     start: int,
     now: int,
     message: NDArray[np.int64],
@@ -98,15 +112,19 @@ def _drain(
 ) -> int:
     """Take what waits for the sources from one on; return at which the data are full, or their end.
 
-    The message that did not fit stays where rcl put it: it is the first the next time.
+    Left out is what publishers have sent that write to the journal, by their ids. The message that
+    did not fit stays where rcl put it: it is the first the next time.
     """
     take_message, copy = functions
     table, data, used, ends = taken
     for source in range(start, handles.size):
         first = ends[source - 1, 0] if source else 0
-        while used[0] < first + AT_ONCE:
+        while used[0] < first + AT_ONCE and handles[source]:
             if message[1] == 0 and not take(take_message, handles[source], message, info):
                 break
+            if _is_one_of(own, info):
+                message[1] = 0
+                continue
             row, begin, size = used[0], used[1], message[1]
             if begin + size > data.size:
                 return source
@@ -131,10 +149,37 @@ def _drain(
     return handles.size
 
 
-class Drain:
-    """Takes messages, which stay until the next are taken."""
+@njit(nogil=True)
+def _read(
+    words: NDArray[np.int64], until: int, sources: NDArray[np.int64], copy: int, taken: _Taken
+) -> None:
+    """Read a journal up to a word; ``sources`` are those of its topics, -1: none."""
+    table, data, used, _ = taken
+    read = words[READ]
+    while read < until and used[0] < table.shape[0]:
+        at = FIRST + read % JOURNAL_ROOM
+        size = words[at]
+        if size < 0:
+            read += JOURNAL_ROOM - read % JOURNAL_ROOM
+            continue
+        source = sources[words[at + 1]]
+        if source >= 0:
+            row, begin = used
+            call(copy, data.ctypes.data + begin, words[at + HEAD :].ctypes.data, size, 0)
+            step, has_step = _find_step(data, begin, size)
+            table[row, LOG_TIME] = table[row, PUBLISH_TIME] = words[at + 2]
+            table[row, CHANNEL], table[row, BEGIN], table[row, SIZE] = source, begin, size
+            table[row, STEP], table[row, HAS_STEP] = step, has_step
+            used[0], used[1] = row + 1, begin + size
+        read += HEAD + (size + 7) // 8
+    words[READ] = read
 
-    def __init__(self) -> None:
+
+class Drain:
+    """Takes messages, which stay until the next are taken; also those of a journal."""
+
+    def __init__(self, journal: Journal | None = None) -> None:
+        self._journal = journal
         self._memory = Memory()
         copy = address_of(ctypes.CDLL(None).memcpy)
         self._functions = functions()[1], copy
@@ -146,18 +191,31 @@ class Drain:
         )
         memory = self._memory
         self._drain = direct(
-            _drain, self._functions, np.empty(0, np.int64), 0, 0, memory.message, memory.info,
-            self._taken,
+            _drain, self._functions, np.empty(0, np.int64), NO_IDS, 0, 0, memory.message,
+            memory.info, self._taken,
         )  # fmt: skip
+        if journal is not None:
+            sources = np.full(TOPICS, -1)
+            self._read = direct(_read, journal.words, 0, sources, copy, self._taken)
 
     @property
     def data(self) -> NDArray[np.uint8]:
         """The messages, one after the other."""
         return self._taken.data
 
-    def take(self, subscriptions: Sequence[Any]) -> list[Rows]:
-        """Take what waits for each, at most AT_ONCE."""
-        handles = np.array([each.handle.pointer for each in subscriptions], np.int64)
+    def take(self, sources: Sequence[Any], own: NDArray[np.int64] = NO_IDS) -> list[Rows]:
+        """Take what waits for each subscription, or number of a topic of the journal.
+
+        That is at most AT_ONCE of each on average. Left out is what some publishers have sent,
+        whose ids have the shape (P, 2).
+        """
+        numbers: NDArray[np.int64] = np.full(TOPICS, -1)
+        for source, each in enumerate(sources):
+            if isinstance(each, int):
+                numbers[each] = source
+        handles = np.array(
+            [0 if isinstance(each, int) else each.handle.pointer for each in sources], np.int64
+        )
         taken, memory, now = self._taken, self._memory, time.time_ns()
         if len(taken.ends) < len(handles):
             table = np.empty((AT_ONCE * len(handles), 7), np.int64)
@@ -167,17 +225,40 @@ class Drain:
         taken.used[:] = memory.message[1] = source = 0
         while source < len(handles):
             source = self._drain(
-                self._functions, handles, source, now, memory.message, memory.info, taken
+                self._functions, handles, own, source, now, memory.message, memory.info, taken
             )
             if source < len(handles):
-                used = int(taken.used[1])
-                data = np.empty(2 * (used + int(memory.message[1])), np.uint8)
-                data[:used] = taken.data[:used]
-                taken = taken._replace(data=data)
-        self._taken = taken
+                taken = _grow(taken, 2 * int(memory.message[1]))
         ends = taken.ends[: len(handles)].tolist()
         begins = [0, *(end for end, _ in ends)]
-        return [
+        rows = [
             Rows(taken.table[begin:end], bool(follow))
             for begin, (end, follow) in zip(begins, ends, strict=False)
         ]
+        if self._journal is not None:
+            words, begin = self._journal.words, int(taken.used[0])
+            until = int(words[WRITTEN])
+            taken = _grow(taken, 8 * (until - int(words[READ])))
+            self._read(words, until, numbers, self._functions[1], taken)
+            read = taken.table[begin : taken.used[0]]
+            for source in numbers[numbers >= 0]:
+                rows[source] = _rows_of(read[read[:, CHANNEL] == source])
+        self._taken = taken
+        return rows
+
+
+def _grow(taken: _Taken, size: int) -> _Taken:
+    """Return it with room for so many bytes more."""
+    used = int(taken.used[1])
+    if used + size <= taken.data.size:
+        return taken
+    data = np.empty(2 * used + size, np.uint8)
+    data[:used] = taken.data[:used]
+    return taken._replace(data=data)
+
+
+def _rows_of(table: NDArray[np.int64]) -> Rows:
+    """Return messages of one source, and whether their steps follow on each other."""
+    ahead = np.diff(table[:, STEP])
+    follow = len(table) > 0 and table[:, HAS_STEP].all() and (ahead == 1).all()
+    return Rows(table, bool(follow and table[0, STEP] >= 0))

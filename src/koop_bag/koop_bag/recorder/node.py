@@ -26,6 +26,7 @@ from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.summary import SummaryWriter
 from koop_bag.recorder.topics import RecordedTopic, fetch, polled, skip, watch
 from koop_core.errors import KoopError
+from koop_core.journal import Journal, journal_of_process
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 from koop_node.node.received import read_message
 from koop_node.process.housekeeping import release_compiler
@@ -60,7 +61,9 @@ class RecorderRun(Run):
         self._take_all = not config.topics.strip()
         self._writer: BagWriter | None = None
         self._summary: SummaryWriter | None = None  # of a ring
-        self._drain = Drain()
+        self._journal = journal_of_process()
+        self._followed: set[int] = set()  # topics of the journal
+        self._drain = Drain(self._journal)
         ChunkBuffer("none", 0, 0)  # compiled before a message may come: the first time takes long
         release_compiler()
         self._collector = ParameterCollector(node, node.get_namespace())
@@ -134,7 +137,7 @@ class RecorderRun(Run):
         """Release what is not an entity of the run, as far as it was made."""
         self._collector.close()
         recorded = [topic.subscription for topic in self._topics.values()]
-        for subscription in [*recorded, *self._watched.values()]:
+        for subscription in [*filter(None, recorded), *self._watched.values()]:
             self._node.destroy_subscription(subscription)
         self._topics, self._watched = {}, {}
 
@@ -215,10 +218,25 @@ class RecorderRun(Run):
             return
         if self._collector.take():
             self._guarded(self._keep_parameters)
+        if self._journal is not None:
+            self._follow(self._journal)
         if self._writer is not None and self._recording:
             self._guarded(self._write_waiting)
         else:
             skip(self._drain, [*self._topics.values()], self._watched)
+
+    def _follow(self, journal: Journal) -> None:
+        """Take what is in the journal from there; its writers wait until they are known."""
+        for number, (name, kind, node) in enumerate(journal.topics()):
+            if name not in self._topics and (self._take_all or name in self._awaited):
+                self._try_topic(name, kind)
+            topic = self._topics.get(name)
+            if topic is not None and topic.number < 0:
+                topic.follow(number, node)
+            known = topic is None or node in topic.publishers & self._collector.values.keys()
+            if known and number not in self._followed:
+                self._followed.add(number)
+                journal.follow(number, self._node.get_name())
 
     def _write_waiting(self) -> None:
         assert self._writer is not None

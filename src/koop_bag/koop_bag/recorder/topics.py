@@ -23,7 +23,8 @@ from koop_bag.bag.metadata import POLICIES, SPANS, OfferedQos
 from koop_bag.cdr.definition import has_step
 from koop_bag.cdr.schema import MessageSchema, load_schema
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
-from koop_bag.recorder.drain import NONE, Drain, Rows
+from koop_bag.recorder.drain import NO_IDS, NONE, Drain, Rows
+from koop_node.node.graph import UNKNOWN
 from koop_node.node.managed import message_type
 from koop_node.node.rclpy_internals import publishers_as_told
 
@@ -63,7 +64,13 @@ class RecordedTopic:
         self._heard = 0.0  # steady clock, of the last message [s]
         self._told: list[dict[str, Any]] = []  # of the publishers
         self._wanted = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
-        self.subscription = self._subscribe()
+        self.subscription: Any = self._subscribe()
+        """None as long as all that is published is in the journal."""
+        self.number = -1
+        """Of the topic in the journal; -1: it is not there."""
+        self.own = NO_IDS
+        """Publishers whose messages are in the journal."""
+        self._writer = ""
 
     def count_rows(self, rows: Rows, transitions: Iterable[Transition] = ()) -> None:
         """Count messages that were taken, and what was lost.
@@ -105,9 +112,25 @@ class RecordedTopic:
             self.match()
             self.channel = self._announce(self)
 
+    @property
+    def sources(self) -> list[Any]:
+        """What :meth:`koop_bag.recorder.drain.Drain.take` takes from."""
+        return [source for source in (self.subscription, self.number) if source not in (None, -1)]
+
+    def follow(self, number: int, writer: str) -> None:
+        """Take what a node writes into the journal, in place of what it sends."""
+        self.number, self._writer = number, writer
+        self._unsubscribe()
+        self._told = []
+
+    def _unsubscribe(self) -> None:
+        if self.subscription is not None:
+            self._node.destroy_subscription(self.subscription)
+        self.subscription = None
+
     def match(self) -> None:
         """Follow the QoS that the publishers offer, so that none of them is incompatible."""
-        told = publishers_as_told(self._node, self.subscription.topic_name)
+        told = publishers_as_told(self._node, self.name)
         if told == self._told:
             return
         self._told = told
@@ -120,7 +143,8 @@ class RecordedTopic:
             )
         if not infos:
             return
-        self.publishers |= {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos}
+        names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
+        self.publishers |= set(names)
         profiles = [info.qos_profile for info in infos]
         self.offered = tuple(dict.fromkeys(offered_qos(profile) for profile in profiles))
         reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
@@ -129,9 +153,14 @@ class RecordedTopic:
             ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
             DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
         )
-        if wanted != self._wanted:
+        # a name that is still on its way is the writer's, until it is known to be another's
+        own = [n == self._writer or n.endswith(UNKNOWN) for n in names if self.number >= 0]
+        ids = (bytes(info.endpoint_gid) for info, is_own in zip(infos, own, strict=False) if is_own)
+        self.own = np.frombuffer(b"".join(ids), np.int64).reshape(-1, 2)
+        heard = self.subscription is not None
+        if (heard and wanted != self._wanted) or (not heard and not all(own)):
+            self._unsubscribe()
             self._wanted = wanted
-            self._node.destroy_subscription(self.subscription)
             self.subscription = self._subscribe()
 
     def _subscribe(self) -> Any:
@@ -198,7 +227,23 @@ def skip(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any]
 
 def take(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any]) -> list[Rows]:
     """Take the waiting messages, each with the number of its topic for a channel."""
-    return drain.take([*(topic.subscription for topic in topics), *nodes.values()])
+    sources = [(n, source) for n, topic in enumerate(topics) for source in topic.sources]
+    own = np.concatenate([NO_IDS, *(topic.own for topic in topics)])
+    taken = drain.take([*(source for _, source in sources), *nodes.values()], own)
+    parts: list[list[Rows]] = [[] for _ in topics]
+    for (n, _), rows in zip(sources, taken, strict=False):
+        parts[n].append(rows)
+    return [*(_together(n, some) for n, some in enumerate(parts)), *taken[len(sources) :]]
+
+
+def _together(channel: int, parts: Sequence[Rows]) -> Rows:
+    """Return the messages of a topic from all of its sources, in order."""
+    for part in parts:
+        part.table[:, CHANNEL] = channel
+    if len(parts) == 1:
+        return parts[0]
+    table = np.concatenate([NONE, *(part.table for part in parts)])
+    return Rows(table[np.argsort(table[:, LOG_TIME], kind="stable")], False)
 
 
 def offered_qos(profile: QoSProfile) -> OfferedQos:

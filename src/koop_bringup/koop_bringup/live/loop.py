@@ -23,6 +23,7 @@ from koop_bringup.live.turns import take_turns
 from koop_bringup.plan import Plan, return_time
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
+from koop_core.journal import make_journal
 from koop_guard.note import THETA_LEFT, TWIN
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import LoopParameters
@@ -58,7 +59,7 @@ class LiveNodes:
         self._values, self._namespace = planned.parameters, planned.namespace
         self._rig, self._program = planned.rig, list(planned.program)
         self._remaps, self._environment = planned.remaps, os.environ | planned.environment
-        self._processes = planned.processes()
+        self._processes, self._journaled = planned.processes(), planned.journaled
         self._in_turn = False
         """Whether the nodes work one after the other."""
         self._nodes: dict[str, NodeProcess] = {}
@@ -85,6 +86,10 @@ class LiveNodes:
             if self._namespace:
                 arguments += ["-r", f"__ns:={self._namespace}"]
             arguments += [word for rule in self._remaps for word in ("-r", rule)]
+            if self._journaled:
+                journal, found_by = make_journal()
+                stack.callback(os.close, journal)
+                self._environment |= found_by
             stack.callback(self._stop_all)
             for each in self._processes:
                 name = each.executable if each.arguments else each.name

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from functools import cached_property, partial
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -19,9 +20,17 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer as RosTimer
 
 from koop_core.errors import KoopError
+from koop_core.journal import NOWHERE, Journal, Topic, append, journal_of_process
+from koop_core.kernels import direct
 from koop_core.port import Port
 from koop_node.node import schedule
-from koop_node.node.graph import Listeners, best_effort_only, message_type_of, publishers_of
+from koop_node.node.graph import (
+    Listeners,
+    best_effort_only,
+    message_type_of,
+    publishers_of,
+    type_name,
+)
 from koop_node.node.memory import Memory
 from koop_node.node.rclpy_internals import announce_parameters
 from koop_node.node.schedule import Timer
@@ -36,21 +45,37 @@ _TWO = inspect.signature(lambda message, info: None)
 class Writer:
     """Publishes messages of one type without rclpy's conversion."""
 
-    def __init__(self, publisher: Publisher, kind: Any) -> None:
+    def __init__(
+        self, node: Node, publisher: Publisher, kind: Any, journal: Journal | None
+    ) -> None:
         self.publisher = publisher
         self._codec = codec(kind)
         self._encode = self._codec.encode
         self._send = publisher.handle.publish_raw  # its publish() guards against other threads
+        self._journal = journal
+        self._place = NOWHERE
+        if journal is not None:
+            name, node_name = publisher.topic_name, node.get_fully_qualified_name()
+            self._place = journal.place(Topic(name, type_name(kind), node_name))
+            self._append = direct(append, NOWHERE, 0, 0)
 
     def publish(self, message: Any) -> None:
         """Publish a message, of the codec or of the message class."""
-        self._send(self._encode(message))
+        data = self._encode(message)
+        self._send(data)
+        if self._journal is not None:
+            self._append(self._place, np.frombuffer(data, np.uint8).ctypes.data, len(data))
+
+    def acknowledged(self, patience: float) -> bool:
+        """Return whether all readers have what was sent, or have within a time [s] each."""
+        heard = self.publisher.wait_for_all_acked(Duration(seconds=patience))
+        return heard and (self._journal is None or self._journal.read_within(patience))
 
     def port(self, message: Any, names: Sequence[str]) -> Port:
         """Return what compiled code publishes through; a message says what it does not write."""
         data = self._encode(message)
         self._memory.write(data)
-        return self._memory.port(self.publisher, self._codec.places(data), names)
+        return self._memory.port(self.publisher, self._codec.places(data), names, self._place)
 
     def last(self) -> Any:
         """Return the last message that compiled code has published."""
@@ -139,6 +164,7 @@ class Entities:
         self._publishers: list[Publisher] = []
         self._open = True
         self._schedule = schedule.current()
+        self._journal = journal_of_process()
 
     def publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
         """Create a publisher."""
@@ -149,7 +175,7 @@ class Entities:
 
     def writer(self, kind: Any, topic: str, qos: QoSProfile) -> Writer:
         """Create a publisher of messages that are encoded here; see :mod:`koop_node.node.wire`."""
-        return Writer(self.publisher(kind, topic, qos), kind)
+        return Writer(self._node, self.publisher(kind, topic, qos), kind, self._journal)
 
     def reader(
         self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
@@ -244,7 +270,11 @@ class Entities:
 
         def look() -> None:
             nonlocal waited
-            missing = {p.topic_name: nodes.missing(self._node, p) for p, nodes in needed.items()}
+            readers = self._journal.readers() if self._journal is not None else {}
+            missing = {
+                p.topic_name: nodes.missing(self._node, p, readers.get(p.topic_name, ""))
+                for p, nodes in needed.items()
+            }
             text = "; ".join(f"{names} to listen to {t}" for t, names in missing.items() if names)
             self.waiting_for = text and f"waiting for {text}"
             if not text:

@@ -33,8 +33,11 @@ class Listeners:
     next: str = ""
     """Besides those named: ``loop``, a node that publishes a message of the loop; ``any``."""
 
-    def missing(self, node: Node, publisher: Publisher) -> str:
-        """Return in words which nodes do not listen yet; empty if all do."""
+    def missing(self, node: Node, publisher: Publisher, reader: str = "") -> str:
+        """Return in words which nodes do not listen yet; empty if all do.
+
+        One reads the messages without a subscription: in :mod:`koop_core.journal`.
+        """
         kind = type_name(publisher.msg_type)
         infos = [
             info
@@ -42,7 +45,7 @@ class Listeners:
             if info.topic_type == kind and _compatible(publisher.qos_profile, info.qos_profile)
         ]
         names = {info.node_name for info in infos}
-        missing = [name for name in self.names if name not in names]
+        missing = [name for name in self.names if name not in {*names, reader}]
         others = [info for info in infos if info.node_name not in self.names]
         if self.next == "loop" and not any(_in_loop(node, info) for info in others):
             missing.append("the next node of the loop")

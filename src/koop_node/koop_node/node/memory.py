@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
+from koop_core.journal import NOWHERE, Place
 from koop_core.port import Port
 from koop_node.node.wire import Places
 
@@ -53,12 +54,19 @@ class Memory:
         self.data[: len(data)] = np.frombuffer(data, np.uint8)
         self.message[1] = len(data)
 
-    def port(self, entity: Subscription | Publisher, places: Places, names: Sequence[str]) -> Port:
+    def port(
+        self,
+        entity: Subscription | Publisher,
+        places: Places,
+        names: Sequence[str],
+        journal: Place = NOWHERE,
+    ) -> Port:
         """Return what compiled code needs; valid while entity and memory are there."""
         take = isinstance(entity, Subscription)
         return Port(
             functions()[take], entity.handle.pointer, self.message, self.info, self.data,
             places.guards, places.size, np.array([places.at[name] for name in names]),
+            journal,
         )  # fmt: skip
 
 

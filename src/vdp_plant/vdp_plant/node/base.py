@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from koop_msgs.msg import ControlInput, MeasuredState, PlantTruth
-from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
@@ -41,8 +40,7 @@ class Outlets:
 
     def acknowledged(self, patience: float) -> bool:
         """Return whether every subscriber has all that was sent, or has within a time [s] each."""
-        writers = (self.state, self.ground_truth)
-        return all([w.publisher.wait_for_all_acked(Duration(seconds=patience)) for w in writers])
+        return all([w.acknowledged(patience) for w in (self.state, self.ground_truth)])
 
 
 class PlantRun(Run):
