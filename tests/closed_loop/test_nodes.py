@@ -484,6 +484,28 @@ def test_a_rig_that_has_changed_gets_a_better_model(start, probe, tmp_path, adap
         assert lifter.answers[-1].model_id == learned.model_id
 
 
+@pytest.mark.parametrize("lockstep", [True, False])  # compiled, and by Python
+def test_spikes_that_are_not_believed_are_not_watched(start, probe, lockstep):
+    """Failed before: the lifter said that the spikes oscillate."""
+    start("koopman_lifter", cost="raw", dt=0.05, y_out_max=10.0, listeners="probe")
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    lifter = Ask(probe, MeasuredState, "state", Cost, "cost")
+    rng = np.random.default_rng(0)
+    for step in range(4200):
+        value = (1.0 + 0.3 * math.sin(0.01 * step)) * math.sin(0.1 * math.pi * step)
+        x = [1e6 if rng.random() < 0.02 else value]
+        lifter.publisher.publish(MeasuredState(step=step, x=x, lockstep=lockstep))
+        if step % 100 == 99:
+            probe.spin_until(lambda: len(lifter.answers) == step + 1, "the costs")  # noqa: B023
+
+    def told():
+        values = [v for s in reports[-1].status if "lifter" in s.name for v in s.values]
+        return next((float(v.value) for v in values if v.key == "frequency"), None)
+
+    probe.spin_until(lambda: reports and told(), "the frequency")
+    assert told() == pytest.approx(1.0, abs=0.1)  # a bin of the first spectrum
+
+
 def test_an_inactive_lifter_is_silent(fresh_lifter, probe):
     lifter = fresh_lifter
     lifter(0, x=[1.0, 1.0])

@@ -246,8 +246,9 @@ class LifterRun(Run):
             return
         x = self._process(state, arrival)
         self._publisher.publish(self._answer)
-        self._keep(self._kept, state.step, x)
-        self._observe(x)
+        if not self._answer.y_out > self._detector.y_max:
+            self._keep(self._kept, state.step, x)
+            self._observe(x)
 
     def _process(self, state: Any, arrival: Arrival) -> NDArray[np.float64]:
         answer = self._answer

@@ -88,8 +88,7 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
     answer.data[answer.at[3]] = settling
     if not send(answer):
         return FAILED, progress
-    candidate.keep(stage.kept, step, sample)
-    seen = stage.seen
+    tally, seen = progress.tally, stage.seen
     if stage.source == cost.LIFTED and stage.lifting.projector.shape[0] == 1:
         seen[0] = 0.0
         for i in range(work.z.size):
@@ -97,8 +96,10 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
     else:
         for i in range(sample.size):
             seen[i] = sample[i]
+    if not y_out > stage.detector.y_max:
+        candidate.keep(stage.kept, step, sample)
+        tally = change.hear(stage.senses, tally, step, seen)
     reason = MORE
-    tally = change.hear(stage.senses, progress.tally, step, seen)
     if max(tally.above.s, tally.below.s) > stage.senses.threshold:
         reason = CHANGED
     if math.isnan(r):
