@@ -222,10 +222,12 @@ def growth(before: Samples, after: Samples, frequency: float) -> tuple[float, bo
 
     Of either samples the later half counts, in which a controller has had time to settle;
     ``frequency`` is in cycles a sample. Sure are ``CANDIDATE.better`` standard errors of the mean
-    ln amplitude, and a factor of ``CANDIDATE.worse``.
+    ln amplitude, and a factor of ``CANDIDATE.worse``. Raises InputError if gaps leave few windows.
     """
     windows = [cut(samples, round(CANDIDATE.window / frequency)) for samples in (before, after)]
-    levels = np.log(amplitudes(np.concatenate(windows), frequency))
+    if (count := min(map(len, windows))) < CANDIDATE.fewest:
+        raise InputError(f"{count} windows without a gap are too few to judge the oscillation by")
+    levels = np.log(np.maximum(amplitudes(np.concatenate(windows), frequency), TINY))
     parts = [part[len(part) // 2 :] for part in np.split(levels, [len(windows[0])])]
     rise = float(parts[1].mean() - parts[0].mean())
     error = math.sqrt(sum(part.var(ddof=1) / len(part) for part in parts))

@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 from koop_core.config.constraint import Constraint
 from koop_core.config.fields import Source, read_field
 from koop_core.config.parameter import ListenersConfig
+from koop_core.errors import InputError
 from koop_core.kernels import direct
 from koop_core.port import NO_PORT
 from koop_core.stream.arrival import Arrival, timeout_of
@@ -389,8 +390,12 @@ class LifterRun(Run):
     def _judge(self, trial: Trial) -> None:
         """Keep the new model, or give it back if the oscillation has grown under it."""
         dt, logger = self._node.parameters[LifterConfig].dt, self._node.get_logger()
-        factor, has_grown = candidate.growth(trial.samples, self._kept, trial.frequency * dt)
-        text = f"the oscillation is {factor:.3g} times what it was before model {self._loaded.id}"
+        name = self._loaded.id
+        try:
+            factor, has_grown = candidate.growth(trial.samples, self._kept, trial.frequency * dt)
+            text = f"the oscillation is {factor:.3g} times what it was before model {name}"
+        except InputError as error:
+            text, has_grown = f"model {name}: {error}", True
         self._end_search()
         if has_grown:
             logger.warning(f"{text}: back to {trial.before}")

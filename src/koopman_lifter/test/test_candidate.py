@@ -123,6 +123,14 @@ def test_an_oscillation_that_grew_is_told_from_one_that_comes_and_goes(factor, g
     assert has_grown == grown
 
 
+def test_an_oscillation_of_which_gaps_leave_little_is_not_judged():
+    """Failed before: it was NaN times what it was, and the new model stayed in use."""
+    whole = samples_of(signal(1.0, 2.6)[0])
+    torn = whole._replace(steps=whole.steps + whole.steps // 100)  # 5 periods without a gap
+    with pytest.raises(InputError, match="0 windows without a gap are too few"):
+        growth(whole, torn, 1.0 * DT)
+
+
 def test_a_better_model_is_written_beside_the_one_in_use(tmp_path):
     path = tmp_path / "model.npz"
     before().save(path)
