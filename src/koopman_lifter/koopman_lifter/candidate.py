@@ -48,6 +48,8 @@ from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.settings import CANDIDATE
 
 TINY = float(np.finfo(float).tiny)
+SPARE = 1.25  # samples over those of the fewest windows: a gap takes one or two
+LARGEST = 2**22  # samples: 100 MB of two channels
 
 
 class Samples(NamedTuple):
@@ -73,7 +75,8 @@ def room(channels: int, size: int = 0) -> Samples:
 
 def size_of(frequency: float, dt: float) -> int:
     """Return how many samples are enough for an oscillation of a frequency [Hz]."""
-    return min(round(CANDIDATE.periods / (frequency * dt)), CANDIDATE.most)
+    least = round(SPARE * 2 * CANDIDATE.fewest * CANDIDATE.window / (frequency * dt))
+    return min(round(CANDIDATE.periods / (frequency * dt)), max(CANDIDATE.most, least), LARGEST)
 
 
 @njit()

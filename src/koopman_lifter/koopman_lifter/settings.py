@@ -55,7 +55,7 @@ class CandidateSettings(Settings):
     periods: int = judged(
         600, "periods that are kept, for the controller to seek in meanwhile", low=64
     )
-    most: int = judged(2**17, "samples that are kept, at most", low=1024)
+    most: int = judged(2**17, "samples that are kept, at most, if they are enough", low=1024)
     window: int = judged(8, "periods of a window", low=4)
     fewest: int = judged(16, "windows to learn from, and to judge by, at least", low=8)
     better: float = parameter(

@@ -24,6 +24,7 @@ from koopman_lifter.edmd import Gram
 from koopman_lifter.model import build, load
 from koopman_lifter.observables import Monomials
 from koopman_lifter.search import Outcome, Search, find_model
+from koopman_lifter.settings import CANDIDATE
 
 DT, OMEGA_H = 0.05, 6.0  # [s], [rad/s]
 DELAYS = Delays(1, 4, 1)
@@ -129,6 +130,15 @@ def test_an_oscillation_of_which_gaps_leave_little_is_not_judged():
     torn = whole._replace(steps=whole.steps + whole.steps // 100)  # 5 periods without a gap
     with pytest.raises(InputError, match="0 windows without a gap are too few"):
         growth(whole, torn, 1.0 * DT)
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.0019, 0.0001])
+def test_what_is_kept_is_enough_at_any_rate(dt):
+    """Failed before: with more than 512 samples in a period there was never a candidate."""
+    kept = room(1, size_of(1.0, dt))
+    kept.steps[:], kept.cursor[0] = np.arange(kept.steps.size), kept.steps.size
+    assert 32 <= len(cut(kept, round(CANDIDATE.window / dt))) <= 75
+    assert kept.steps.nbytes < 1e8
 
 
 def test_a_better_model_is_written_beside_the_one_in_use(tmp_path):
