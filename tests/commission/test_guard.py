@@ -1,6 +1,9 @@
 """The guard of ``koop up`` on a foreign rig: whatever fails, theta returns to theta_safe."""
 
+import ctypes
+import fcntl
 import itertools
+import json
 import os
 import re
 import resource
@@ -31,6 +34,7 @@ from waiting import wait
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_core.config import parameter_file
+from koop_core.config.objects import to_json
 from koop_core.whole_file import read_json
 from koop_guard import note
 from koop_guard.config import SAFETY
@@ -336,6 +340,21 @@ def test_a_lost_answer_delays_a_rearm_and_the_trip_is_over_for_good(start, probe
     finally:
         controller.shutdown()
         node.destroy_node()
+
+
+def test_a_note_that_cannot_be_written_is_told_before_theta_is_commanded(start, probe, states):
+    """Failed before: the log of the loop before said so, not that of the one that relies on it."""
+    sealed = ctypes.CDLL(None).memfd_create(b"note", 2)  # that may be sealed: as read-only for root
+    path, left = f"/proc/{os.getpid()}/fd/{sealed}", note.Note((0.5,), "/knob:data", (), None, 0)
+    os.write(sealed, json.dumps(to_json(left)).encode())
+    fcntl.fcntl(sealed, 1033, 8)  # F_ADD_SEALS, F_SEAL_WRITE
+    _, until = be_rig_and_controller(probe)
+    knob = probe.collect(Float64, "/knob")
+    process = start("koop_guard", **SLOWEST, note=path)
+    until(lambda: knob, "a command")
+    assert f"{path}: " in (said := process.log.read_text())
+    assert "theta was left at 0.5 or, if that was not noted, elsewhere" in said
+    os.close(sealed)
 
 
 def assert_replays(koop, run):

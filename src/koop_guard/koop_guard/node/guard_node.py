@@ -22,7 +22,7 @@ from koop_guard.guard import Cause, Guard, Status, Trip
 from koop_guard.node.alarm import Alarm
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
-from koop_guard.note import NOT_NOTED, Keeper, Note, find_theta, read
+from koop_guard.note import NOT_NOTED, Keeper, Note, find_theta, leave, read
 from koop_node.client.question import Question
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
@@ -99,7 +99,12 @@ class GuardRun(Run):
             if remark:
                 self._node.get_logger().warning(remark)
             self._guard = Guard(config, theta)
-            if (left := read(config.note)) is not None and left.command == config.command:
+            left = read(config.note)
+            if left is not None and (failure := leave(config.note, left)):
+                where = format_knobs(left.theta)
+                text = f"{failure}: theta was left at {where} or, if that was not noted, elsewhere"
+                self._node.get_logger().error(text)
+            if left is not None and left.command == config.command:
                 self._guard.rearmed = left.rearmed
                 if left.trip is not None:
                     self._latched = replace(left.trip, when=left.trip.when - self._epoch)
