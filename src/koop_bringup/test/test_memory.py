@@ -131,7 +131,26 @@ def test_a_loop_without_a_guard_has_no_memory(memory, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
 
 
-def test_a_disk_that_is_full_ends_no_loop(memory, tmp_path, capsys):
-    (tmp_path / ".rig.yaml.controller.new").symlink_to("/dev/full")
-    memory().keep(progress(BEGIN))
+def test_a_disk_that_is_full_ends_no_loop_and_what_is_kept_is_written_when_it_is_not(
+    memory, tmp_path, capsys, monkeypatch
+):
+    """Failed before: nothing was kept any more, and the next loop did not say so."""
+    full, kept = tmp_path / ".rig.yaml.controller.new", memory()
+    full.symlink_to("/dev/full")
+    kept.keep(progress(BEGIN))
     assert "make room: a restart begins at theta_initial" in capsys.readouterr().err
+    monkeypatch.setattr("koop_bringup.live.memory.PERIOD", 0.0)
+    kept.keep(progress(BEGIN))  # the link was removed
+    full.symlink_to("/dev/full")
+    later = [0.5, *BEGIN[1:]]
+    kept.keep(progress(later))
+    assert "make room: a restart begins where that says" in capsys.readouterr().err
+    full.symlink_to("/dev/full")
+    kept.keep(progress(later))
+    assert capsys.readouterr().err == ""  # told once
+    full.symlink_to("/dev/full")
+    values, remark = memory().recall()
+    assert values["relay_esc"] == {"begin": BEGIN}
+    assert "make room: the controller resumes where it was when that could be written" in remark
+    kept.keep(progress(later))
+    assert memory().recall()[0]["relay_esc"] == {"begin": later}

@@ -45,7 +45,7 @@ class Memory:
         self._parameters = {node: dict(items) for node, items in planned.parameters.items()}
         self._changed: Parameters = {}
         self._written: dict[str, Any] = {}
-        self._time = 0.0
+        self._time, self._failed = 0.0, False
 
     def recall(self) -> tuple[Parameters, str]:
         """Return parameters that take the place of the file's, and a remark."""
@@ -70,6 +70,10 @@ class Memory:
         self._changed = changed
         texts = [f"{node}.{k} = {v}" for node, items in changed.items() for k, v in items.items()]
         remark = "the controller resumes where it was when the loop ended"
+        try:
+            write_json(self._path, values)
+        except LiveError as error:
+            remark = f"{error}: the controller resumes where it was when that could be written last"
         remark += f", with what was set while it ran: {', '.join(texts)}" if texts else ""
         return {node: changed[node] | begin.get(node, {}) for node in CONFIGS}, remark
 
@@ -91,12 +95,15 @@ class Memory:
         content = {"of": self._of, "changed": changed, "begin": begin}
         if content == self._written:
             return
-        self._written, self._time = content, time.monotonic()
+        self._time = time.monotonic()
         try:
             write_json(self._path, content)
+            self._written, self._failed = content, False
         except (LiveError, TypeError) as error:  # another program may have set a parameter to bytes
-            print(f"\nnote: {error}: a restart begins at theta_initial", file=sys.stderr)
-            self._path = None
+            if not self._failed:
+                begin = "where that says" if self._path.exists() else "at theta_initial"
+                print(f"\nnote: {error}: a restart begins {begin}", file=sys.stderr)
+            self._failed = True
 
 
 def _describe(parameters: Parameters) -> dict[str, Any]:
