@@ -506,6 +506,22 @@ def test_spikes_that_are_not_believed_are_not_watched(start, probe, lockstep):
     assert told() == pytest.approx(1.0, abs=0.1)  # a bin of the first spectrum
 
 
+def test_the_oscillation_that_is_named_is_watched_and_named_anew_where_it_moves(start, probe):
+    """Failed before: interference that is stronger was watched, and again after each restart."""
+    start("koopman_lifter", cost="raw", dt=0.05, begin=1.03, listeners="probe")
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    lifter = Ask(probe, MeasuredState, "state", Cost, "cost")
+    x = [*swinging(1.0, 2.6, 660)[0], *swinging(1.1, 2.6, 24)[0]]
+    for step, value in enumerate(x):
+        lifter.publisher.publish(MeasuredState(step=step, x=[value], lockstep=True))
+        if step % 200 == 199:
+            probe.spin_until(lambda: len(lifter.answers) == step + 1, "the costs")  # noqa: B023
+        if step == 4199:
+            probe.spin_until(lambda: "frequency" in str(reports[-1:]), "the frequency")
+    probe.spin_until(lambda: "moved from 1 to 1.0" in str(reports[-1]), "the change")
+    assert get_parameter(probe, "koopman_lifter", "begin") == pytest.approx(1.1, abs=0.05)
+
+
 def test_an_inactive_lifter_is_silent(fresh_lifter, probe):
     lifter = fresh_lifter
     lifter(0, x=[1.0, 1.0])

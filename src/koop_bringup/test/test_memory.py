@@ -69,9 +69,10 @@ def test_what_was_set_while_the_loop_ran_outlives_two_restarts(memory):
     values, remark = second.recall()
     assert values["relay_esc"] == {"dwell": 0.5, "theta_max": 2.0, "begin": BEGIN}
     assert "set while it ran: relay_esc.dwell = 0.5, relay_esc.theta_max = 2.0" in remark
-    second.keep(progress(BEGIN, koopman_lifter={"omega_l": 2.0}, relay_esc={"dwell": 1.5}))
+    lifter = {"omega_l": 2.0, "begin": 1.1}
+    second.keep(progress(BEGIN, koopman_lifter=lifter, relay_esc={"dwell": 1.5}))
     values, _ = memory().recall()
-    assert values["koopman_lifter"] == {"omega_l": 2.0}
+    assert values["koopman_lifter"] == lifter
     assert values["relay_esc"] == {"dwell": 1.5, "theta_max": 2.0, "begin": BEGIN}
     values, remark = memory(GUARDED.replace("dwell: 2.0", "dwell: 2.5")).recall()
     assert values == {}  # what the user gave wins

@@ -90,5 +90,5 @@ def make_findings(level, costs=(), error=0.05, wander=0.01, sense=1.0, scale=Sca
     limits = ThetaLimits(scale.low, scale.high)
     return Findings(
         scale, make_dwells(rests, logs), make_map(level, error, sense), 1 / FREQUENCY, "x",
-        list(costs), limits, [Mode("x at 2 Hz", 0, 1, 3, 1.0, 1.0)],
+        list(costs), limits, [Mode("x at 2 Hz", 0, 1, 3, 1.0, 1.0)], frequency=2.014,
     )  # fmt: skip

@@ -400,7 +400,9 @@ def test_a_drift_that_reacts_has_no_period_and_that_of_the_oscillation_is_told()
         holds.append(WINDOWS.powers((size * np.sin(2.0 * np.pi * 2.0 * t) + drift)[:, None]))
     amplitude = choose_amplitude(WINDOWS, holds)
     assert weighs_at(amplitude, 0, WINDOWS.frequency[AMPLITUDE.lowest])  # the drift does react
-    assert amplitude.period([power.mean(axis=0) for power in holds]) == pytest.approx(0.5, rel=0.1)
+    means = [power.mean(axis=0) for power in holds]
+    assert amplitude.period(means) == pytest.approx(0.5, rel=0.1)
+    assert amplitude.frequency(means) == pytest.approx(2.0, rel=0.05)
 
 
 @pytest.mark.parametrize(("noise", "hides"), [(0.02, True), (0.6, False)])

@@ -117,6 +117,7 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     assert loop.lifter.cost == "raw"
     assert loop.lifter.omega_h == pytest.approx(c.omega_h, rel=0.005)
     assert loop.lifter.y_out_max == 123.0
+    assert loop.lifter.begin == 2.01
     assert loop.esc.step_size == pytest.approx(c.speed * 0.02, rel=0.005)
     assert loop.esc.theta_initial == RIG.theta_safe
     crosses = float(re.search(r"crosses the range in (\S+) s", path.read_text())[1])

@@ -2,6 +2,8 @@
 
 First the oscillation is looked for (:func:`koopman_lifter.delays.dominant_period`) in a few
 thousand samples, or in means of 2, 4, ... samples until it is slow enough for them. That gives f0.
+Where tuning has told about where it is, f0 is the strongest line there: the strongest of all may be
+interference, which theta does not change.
 
 From then on four segments of two periods each are a window. The window's spectrum at the bins
 around f0, combined as a Blackman window, is the complex amplitude C of a channel: interference 40 %
@@ -25,7 +27,7 @@ A frequency that has left that quarter tells the phases nothing. So spectra of w
 go on, each of some hundred periods: a change is also a line away from the known range of ten times
 the power that was ever there, before the last spectrum, and of ten times what is left within the
 range. If that is as much as half of what the last spectrum had there, the oscillation has stayed:
-the line is interference.
+the line is interference. Where the phases tell that it has left, it is the line that rose most.
 """
 
 from __future__ import annotations
@@ -55,6 +57,7 @@ AVERAGED = 4  # windows of a spectrum of what is listened to: 20 periods in each
 TOLD = 0.15  # e that is told: a frequency that has left the quarter looks like a larger one
 LEFT = 0.2  # of f0: a line farther away from the known range is no longer that of f0
 LEAKED = 2  # bins on either side of a line, and those of a trend
+FAINT = 1e-6  # of the largest power of a spectrum: no line that has appeared
 TINY = float(np.finfo(float).tiny)
 
 
@@ -294,7 +297,7 @@ class Change:
         if self.interference:
             return (
                 f"what oscillates at {self.after:.4g} Hz outshines the oscillation at "
-                f"{self.before:.4g} Hz that was the strongest: interference, or what theta changes"
+                f"{self.before:.4g} Hz that is watched: interference, or what theta changes"
             )
         to = f"to {self.after:.4g} Hz"
         if math.isnan(self.after):
@@ -305,19 +308,20 @@ class Change:
 class Watch:
     """The watch of a run; after a change it learns again what is known.
 
-    ``channels`` is the number of measured values, ``dt`` the sampling time [s]. ``senses`` is what
+    ``channels`` is the number of measured values, ``dt`` the sampling time [s], ``near`` about
+    the frequency of the oscillation [Hz]; 0: the one whose power varies most. ``senses`` is what
     :func:`hear` needs; who calls that sets ``tally``.
     """
 
-    def __init__(self, channels: int, dt: float) -> None:
+    def __init__(self, channels: int, dt: float, near: float = 0.0) -> None:
         self.channels, self._dt = channels, dt
         self._steps, self._states = np.zeros(BLOCK, np.int64), np.zeros((BLOCK, channels))
-        self.begin()
+        self._begin(near)
         self._hear = direct(hear_all, self.senses, Tally(), self._steps[:0], self._states)
 
-    def begin(self) -> None:
-        """Forget what is known."""
-        n = self.channels
+    def _begin(self, near: float = 0.0) -> None:
+        """Forget what is known, and look for the oscillation."""
+        n, self._near, self._lost = self.channels, near, 0.0
         ear = Listening(np.zeros((WATCH.listened, n)), np.zeros(n), np.array([0, 1, 0, 0]))
         self.senses, self.tally, self._count = Senses(ear, math.inf, spectrum(9, n)), Tally(), 0
         self._last: NDArray[np.float64] = np.zeros(0)  # power by bin of the last spectrum
@@ -356,15 +360,39 @@ class Watch:
             return None
         if self.senses.threshold < math.inf:
             return self._compare(self._power())
+        if self._lost:
+            return self._find_again(self._power())
         self._look_for_oscillation()
         return None
+
+    def _find_again(self, power: NDArray[np.float64]) -> Change | None:
+        """Look for an oscillation that has left its quarter where a spectrum rose most."""
+        rise = self._rise(power, FAINT * power.max())
+        peak, before, self._lost = int(np.argmax(rise)), self._lost, 0.0
+        if rise[peak] <= WATCH.outshone:
+            self._begin()
+            return None
+        at = self._line(power, peak)
+        if at < 0.5 * before:  # too slow for this spectrum
+            self._begin(at)
+        else:
+            self._follow_line(at)
+            self._last = self._most = power
+        return Change(before, at)
+
+    def _rise(self, power: NDArray[np.float64], least: float) -> NDArray[np.float64]:
+        """Return the power of each line over the most that was there, and at least so much."""
+        spread = sliding_window_view(np.pad(self._most, LEAKED), 2 * LEAKED + 1).max(axis=1)
+        rise = power / np.maximum(spread, max(least, TINY))
+        rise[:LEAKED] = rise[-LEAKED:] = 0.0
+        return rise
 
     def _look_for_oscillation(self) -> None:
         rows, _, cursor = self.senses.ear
         size = len(rows)
         dt = float(cursor[1]) * self._dt
         try:
-            period = dominant_period([rows.T], dt)
+            period = 1.0 / self._near if self._near else dominant_period([rows.T], dt)
         except InputError:  # nothing moves, or as in every window
             cursor[0] = 0
             return
@@ -372,9 +400,14 @@ class Watch:
             rows[: size // 2] = 0.5 * (rows[0::2] + rows[1::2])
             cursor[0], cursor[1] = size // 2, 2 * cursor[1]
             return
-        self._follow_line(1.0 / period)
-        self._scale = units(rows, 0)
-        self._last = self._most = self._power()
+        frequency, self._scale = 1.0 / period, units(rows, 0)
+        self._last = self._most = power = self._power()
+        if self._near:
+            near = np.abs(np.arange(power.size) * self._resolution / frequency - 1.0) <= LEFT
+            if not power[near].any():  # nothing moves
+                return
+            frequency = self._line(power, int(np.argmax(power * near)))
+        self._follow_line(frequency)
 
     def _follow_line(self, frequency: float) -> None:
         """Learn what is known of an oscillation of a frequency [Hz]."""
@@ -391,27 +424,36 @@ class Watch:
 
     def _compare(self, power: NDArray[np.float64]) -> Change | None:
         """Compare a spectrum with those before it; return a jump of the oscillation."""
-        (rows, _, cursor), t, most = self.senses.ear, self.tally, self._most
+        t = self.tally
         if self.learned:
             low, high = self._hertz(t.low), self._hertz(t.high)
             own = 0.5 * (low + high)
-            hertz = AVERAGED / (len(rows) * float(cursor[1]) * self._dt)
-            bins = np.arange(power.size)
-            away = np.maximum(low - bins * hertz, bins * hertz - high) / own
+            hertz = np.arange(power.size) * self._resolution
+            away = np.maximum(low - hertz, hertz - high) / own
             left = power[away <= 0.5 * LEFT].max(initial=TINY)
-            spread = sliding_window_view(np.pad(most, LEAKED), 2 * LEAKED + 1).max(axis=1)
-            rise = np.where(away > LEFT, power / np.maximum(spread, left), 0.0)[:-LEAKED]
-            peak = LEAKED + int(np.argmax(rise[LEAKED:]))
+            rise = np.where(away > LEFT, self._rise(power, left), 0.0)
+            peak = int(np.argmax(rise))
             if rise[peak] > WATCH.outshone:
-                line = slice(peak - LEAKED, peak + LEAKED + 1)
-                at = float(np.average(bins[line], weights=power[line])) * hertz
+                at = self._line(power, peak)
                 if left >= WATCH.stayed * self._last[away <= 0.5 * LEFT].max(initial=TINY):
                     self._most = np.maximum(self._most, power)
                     return Change(own, at, interference=True)
-                self.begin()
+                self._begin(at)
                 return Change(own, at)
-        self._most, self._last = np.maximum(most, self._last), power
+        self._most, self._last = np.maximum(self._most, self._last), power
         return None
+
+    @property
+    def _resolution(self) -> float:
+        """Distance of two bins of a spectrum of what is listened to [Hz]."""
+        rows, _, cursor = self.senses.ear
+        return AVERAGED / (len(rows) * float(cursor[1]) * self._dt)
+
+    def _line(self, power: NDArray[np.float64], peak: int) -> float:
+        """Return the frequency of a line [Hz] from the bin of its peak."""
+        line = slice(peak - LEAKED, peak + LEAKED + 1)
+        bins = np.arange(power.size)[line]
+        return float(np.average(bins, weights=power[line])) * self._resolution
 
     def judge(self) -> Change:
         """Return the change that the phases show, and learn again what is known.
@@ -422,7 +464,8 @@ class Watch:
         after, end = (t.above.e, t.high) if t.above.s > t.below.s else (t.below.e, t.low)
         change = Change(self._hertz(end), self._hertz(after if abs(after) <= TOLD else math.nan))
         if math.isnan(change.after):
-            self.begin()
+            self.senses, self._lost = self.senses._replace(threshold=math.inf), change.before
+            self.senses.ear.cursor[0] = 0
         else:
             self._follow_line(change.after)
         return change

@@ -65,6 +65,13 @@ class LifterConfig(Settings):
         read_only=True,
     )
 
+    begin: float = parameter(
+        0.0,
+        "frequency at which the watch begins: within a fifth of it is the oscillation that theta "
+        "changes; the lifter sets it where the rig changes; 0: what varies most", unit="Hz",
+        low=0.0,
+    )  # fmt: skip
+
     adapt: str = parameter(
         "propose",
         "a better model after a change is proposed to the operator, used at once (always; given "

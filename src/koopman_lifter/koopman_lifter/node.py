@@ -192,8 +192,9 @@ class LifterRun(Run):
             self._end_search()
         if {"cost", "model"} & names:  # of another quantity the filters know nothing
             self._state = cost.joining(self._detector)
-            self._begin_watch()
             self._loaded.work = cost.workspace(self._loaded.lifting)
+        if {"cost", "model", "begin"} & names:
+            self._begin_watch(self._watch.channels)
 
     def samples(self) -> int:
         return self._input.count
@@ -329,7 +330,8 @@ class LifterRun(Run):
             self._judge_unusable(self.reader.last().x)
 
     def _begin_watch(self, channels: int = 1) -> None:
-        self._watch = Watch(channels, self._answer.dt)
+        config = self._node.parameters[LifterConfig]
+        self._watch = Watch(channels, config.dt, config.begin)
         self._change = None
         self._end_search()
 
@@ -341,6 +343,9 @@ class LifterRun(Run):
         Where interference creeps on, it is learned as it comes.
         """
         if change is not None:
+            moved = change.after > 0.0 and not change.interference
+            if moved and self._node.parameters[LifterConfig].begin:  # which a restart needs
+                self._set("begin", change.after)
             creeps = change.interference and self._change is not None and self._trial is None
             self._change = change
             if not creeps:
@@ -372,7 +377,7 @@ class LifterRun(Run):
                 return
             if config.adapt == "always":
                 logger.warning(f"{outcome.text}: in use from now on, on trial")
-                self._set_model(outcome.file)
+                self._set("model", outcome.file)
                 self._trial = trial
                 self._kept = candidate.room(self._n, trial.samples.steps.size)
                 return
@@ -399,15 +404,15 @@ class LifterRun(Run):
         self._end_search()
         if has_grown:
             logger.warning(f"{text}: back to {trial.before}")
-            self._set_model(str(trial.before))
+            self._set("model", str(trial.before))
         else:
             logger.info(f"{text}, which stays in use")
 
-    def _set_model(self, file: str) -> None:
-        """Set the parameter, as an operator does: between two samples, recorded and replayed."""
-        (result,) = self._node.set_parameters([Parameter("model", value=file)])
+    def _set(self, name: str, value: object) -> None:
+        """Set a parameter, as an operator does: between two samples, recorded and replayed."""
+        (result,) = self._node.set_parameters([Parameter(name, value=value)])
         if not result.successful:
-            self._node.get_logger().error(f"{file} is not used: {result.reason}")
+            self._node.get_logger().error(f"{name} {value} is not used: {result.reason}")
 
     def _use(self, model: KoopmanModel | None) -> None:
         self._loaded = LoadedModel(model)

@@ -81,6 +81,25 @@ def test_an_oscillation_is_found_and_its_frequency_known(frequency):
     assert watch.frequency == pytest.approx(frequency, rel=1e-3)
 
 
+@pytest.mark.parametrize("ratio", [1.1, 1.3])
+@pytest.mark.parametrize("frequency", [0.06, 1.0, 3.7])
+def test_of_two_lines_the_one_that_is_named_is_watched(frequency, ratio):
+    """Failed before: the stronger one was, though theta does not change it."""
+    before, after = samples(LEARNED / frequency), samples(2 * LEARNED / frequency)
+    hertz = np.full(before + after, frequency)
+    hertz[before:] *= ratio
+    x = swinging(hertz, noise=0.03)
+    t = frequency * DT * np.arange(before + after)
+    x[:, 0] += 3.0 * (1.0 + 0.3 * np.sin(0.1 * t)) * np.sin(2.0 * np.pi * 2.6 * t)
+    watch = Watch(1, DT, 0.9 * frequency)
+    *told, (k, change) = changes(watch, x)
+    assert min([k, *(k for k, _ in told)]) > before
+    assert all(np.isnan(earlier.after) for _, earlier in told)
+    assert change.before == pytest.approx(frequency, rel=0.01)
+    assert change.after == pytest.approx(ratio * frequency, rel=0.02)
+    assert watch.frequency == pytest.approx(ratio * frequency, rel=0.01)  # not the stronger one
+
+
 @pytest.mark.parametrize("ratio", [1.1, 1.0 / 1.1])
 @pytest.mark.parametrize("when", [0.0, 0.7, 1.4])  # within a segment of two periods
 def test_a_mode_moved_by_a_tenth_is_seen_within_ten_periods(ratio, when):
@@ -163,7 +182,7 @@ def test_interference_that_appears_is_no_motion_of_the_oscillation_which_is_foll
     watch = Watch(1, DT)
     (_, interference), (_, moved) = changes(watch, x)
     # failed before: "interference at 2.3 Hz", which may be the oscillation that theta lets rise
-    told = "what oscillates at 2.3 Hz outshines the oscillation at 1 Hz that was the strongest: "
+    told = "what oscillates at 2.3 Hz outshines the oscillation at 1 Hz that is watched: "
     assert str(interference).startswith(told)
     assert moved.after == pytest.approx(1.1, abs=0.04)
     assert watch.learned

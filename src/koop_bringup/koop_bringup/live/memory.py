@@ -31,7 +31,7 @@ OF = {
     **{node: names_of([config]) - {"begin"} for node, config in CONFIGS.items()},
 }
 """Parameters with which it is worth something."""
-SET = OF | {"koopman_lifter": OF["koopman_lifter"] | {"model"}}
+SET = OF | {"koopman_lifter": OF["koopman_lifter"] | {"model", "begin"}}
 """Parameters that outlive the loop if they are set while it runs."""
 
 

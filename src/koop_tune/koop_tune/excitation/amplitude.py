@@ -263,16 +263,27 @@ class Amplitude:
         length. It counts if there is nothing else. A hold without any power, where a coarse sensor
         reads one value, tells none.
         """
+        shares = np.cumsum(self._parts(holds), axis=1)
+        shares = shares[shares[:, -1] > 0.0]
+        shares /= shares[:, -1:]
+        first = int((shares > AMPLITUDE.slow).argmax(axis=1).min())
+        return 1.0 / float(self.windows.frequency[first])
+
+    def _parts(self, holds: Sequence[Array]) -> Array:
+        """Return the part of A^2 in each group, without a drift, shape (holds, G)."""
         density = np.array([self.weight.max(axis=1) @ power for power in holds])
         density /= np.diff(np.array(self.windows.edges))
         rises = density > AMPLITUDE.falls * np.minimum.accumulate(density, axis=1)
         parts = np.array([(self.weight * power).sum(axis=0) for power in holds])
         beyond = parts * np.maximum.accumulate(rises, axis=1)
-        shares = np.cumsum(beyond if beyond.any() else parts, axis=1)
-        shares = shares[shares[:, -1] > 0.0]
-        shares /= shares[:, -1:]
-        first = int((shares > AMPLITUDE.slow).argmax(axis=1).min())
-        return 1.0 / float(self.windows.frequency[first])
+        return beyond if beyond.any() else parts
+
+    def frequency(self, holds: Sequence[Array]) -> float:
+        """Return the frequency [Hz] at which most of A^2 is, in some holds; not that of a drift."""
+        parts = self._parts(holds).sum(axis=0)
+        peak = int(parts.argmax())
+        line = slice(max(peak - AMPLITUDE.lobe, 0), peak + AMPLITUDE.lobe + 1)
+        return float(np.average(self.windows.frequency[line], weights=parts[line]))
 
     @property
     def ranges(self) -> list[tuple[int, int, int]]:

@@ -138,6 +138,8 @@ def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
         ),
         "y_out_max": (float(f"{tuning.y_out_max:.3g}"), "ten times the largest of the recording"),
     }
+    if frequency := tuning.findings.frequency:
+        parameters["begin"] = float(f"{frequency:.3g}"), "most of what reacts to theta is there"
     if model is not None:  # beside the file: the folder may be moved
         parameters["model"] = (model.name, "learned from the excitation")
     return parameters | list_lifter(rig)

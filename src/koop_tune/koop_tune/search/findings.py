@@ -110,6 +110,8 @@ class Findings:
         Thetas that keep the constraint.
     speed : float
         Of the optimum's motion [ranges/s].
+    frequency : float
+        Of most of the oscillation [Hz].
     """
 
     scale: Scale
@@ -123,6 +125,7 @@ class Findings:
     doubt: str = ""
     safe: SafeRange | None = None
     speed: float = 0.0
+    frequency: float = 0.0
 
 
 def analyse(
@@ -155,7 +158,8 @@ def analyse(
     static_map, dwells = dwells.now(dwells.static_map(dwells.logs, rig.sense))
     powers = [amplitude.windows.powers(loaded.x[:, a:b].T) for _, a, b, _ in dwells.rests]
     settled = dwells.settled(powers)
-    period = amplitude.period([power.mean(axis=0) for power in settled])
+    means = [power.mean(axis=0) for power in settled]
+    period = amplitude.period(means)
     candidates: list[CostMaps] = []
     for cost in costs(loaded, training, period, settings.learned):
         maps = {}
@@ -171,6 +175,7 @@ def analyse(
          for mode in amplitude.modes(settled, rig.names)],
         safe=safe,
         speed=static_map.motion / max(float(np.ptp(dwells.middles)) * dt, dt),
+        frequency=amplitude.frequency(means),
     )  # fmt: skip
     return decide(findings, rig, settings)
 
