@@ -12,7 +12,6 @@ import sys
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
-from types import FrameType
 
 from tqdm import tqdm
 
@@ -88,11 +87,7 @@ def _run_isolated(scenario: Scenario, folder: Path) -> Verdict:
 
 def main(folder: Path) -> int:
     """Run the scenario of a folder; returns the exit code."""
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, on_signal)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     end_with_parent()
     scenario: Scenario = pickle.loads((folder / PICKLE).read_bytes())
     try:

@@ -18,7 +18,6 @@ import traceback
 from collections.abc import Iterable
 from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
-from types import FrameType
 
 from koop_core.errors import KoopError
 
@@ -104,8 +103,8 @@ def main(argv: list[str] | None = None) -> int:
     if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # see koop_lab.__main__
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # a closed terminal or a supervisor's stop must end the nodes that were started, as Ctrl-C does
-    signal.signal(signal.SIGTERM, _interrupt)
-    signal.signal(signal.SIGHUP, _interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.default_int_handler)
     try:
         code = int(args.func(args))
         sys.stdout.flush()
@@ -128,7 +127,3 @@ def main(argv: list[str] | None = None) -> int:
         traceback.print_exc()
         print(REPORT, file=sys.stderr)
         return FAULT
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
