@@ -11,7 +11,6 @@ import numpy as np
 from koop_bag.bag.columns import Columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
-from koop_core.config.parameter import Settings, judged
 from koop_hil.answers import age_acting
 from koop_hil.scenario import NO_LIMIT, Scenario
 from koop_hil.supervisor import RunRecord
@@ -24,18 +23,6 @@ FIELDS = {
     "ground_truth": ["step", "log_time", "publish_time", "theta_step"],
 }
 LIMITED = ("tail_error", "max_error", "unrecorded", "answer_age")
-
-
-@dataclass(frozen=True)
-class VerdictSettings(Settings):
-    """What a verdict says of a run."""
-
-    whole: float = judged(
-        0.95, "share of the duration that must be known, else it is said", low=0.0, high=1.0
-    )  # a busy machine lets simulated time fall behind
-
-
-SETTINGS = VerdictSettings()
 
 
 @dataclass
@@ -83,10 +70,9 @@ class Verdict:
         figures = (
             f"mean |theta - theta*| {self.tail_error:.2f} at the end, "
             f"at most {self.max_error:.2f}, out of tolerance for {out:.1f} s, "
-            f"oldest acting answer {self.answer_age:.2f} s"
+            f"oldest acting answer {self.answer_age:.2f} s, "
+            f"theta known for {self.simulated:.0f} of {self.duration:.0f} s"
         )
-        if self.simulated < SETTINGS.whole * self.duration:
-            figures += f", theta known for {self.simulated:.0f} of {self.duration:.0f} s"
         return f"{self.name:<24} {state}  {figures}"
 
 
