@@ -5,13 +5,10 @@ Pure: arrays in, figures out. Times are nanoseconds on the clock of the publishe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-Columns = Mapping[str, NDArray[Any]]
+from koop_bag.bag.columns import Columns
+
 PASS = 1 << 48  # more than the steps of a plant until it is started again
 
 

@@ -46,8 +46,8 @@ def metrics_table(metrics: Metrics, cost: str, duration: float) -> str:
     rows = [
         ["IAE_theta [s]", f"{metrics.iae_theta:.1f}", f"{paper.iae_theta:.1f}"],
         ["ISE_theta [s]", f"{metrics.ise_theta:.1f}", f"{paper.ise_theta:.1f}"],
-        ["T_theta [s]", _optional(metrics.t_theta, ".1f", "never"), f"{paper.t_theta:.0f}"],
-        ["e_r_ss", _optional(metrics.e_r_ss, ".5f", "-"), f"{paper.e_r_ss:.5f}"],
+        ["T_theta [s]", _known(metrics.t_theta, ".1f", absent="never"), f"{paper.t_theta:.0f}"],
+        ["e_r_ss", _known(metrics.e_r_ss, ".5f"), f"{paper.e_r_ss:.5f}"],
         ["mean |theta - theta*|, last 30 %", f"{metrics.tail_error:.3f}", "-"],
     ]
     columns = [f"{cost} cost", "this run", "paper" + ", lifted" * (cost not in PAPER)]
@@ -95,9 +95,5 @@ def rig_table(metrics: RigMetrics, names: Sequence[str], grows: bool = False) ->
     return "\n".join(lines)
 
 
-def _known(value: float, form: str, unit: str = "") -> str:
-    return "-" if math.isnan(value) else f"{value:{form}}{unit}"
-
-
-def _optional(value: float | None, form: str, absent: str) -> str:
-    return absent if value is None else format(value, form)
+def _known(value: float | None, form: str, unit: str = "", absent: str = "-") -> str:
+    return absent if value is None or math.isnan(value) else f"{value:{form}}{unit}"
