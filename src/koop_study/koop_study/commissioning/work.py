@@ -191,5 +191,6 @@ class Loops:
 
     def close(self, controller: RigController) -> list[ClosedRun]:
         """Close it with a controller."""
-        return [close(rig, controller, self.noises[end], self._seed + end * OTHER)
-                for end, rig in enumerate(self.rigs)]  # fmt: skip
+        ends = enumerate(zip(self.rigs, self.noises, strict=True))
+        return [close(rig, controller, noise, self._seed + end * OTHER)
+                for end, (rig, noise) in ends]  # fmt: skip
