@@ -202,6 +202,20 @@ def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, caps
     assert "No guard was recorded." in text
 
 
+def test_where_a_loop_begins_and_ends_is_not_taken_for_how_it_does(tmp_path, capsys):
+    with BagWriter(tmp_path / "bag") as writer:
+        channel = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+        for k in range(9000):
+            time = BEGIN * 10**9 + k * 10**7
+            size = 0.7 if 1000 <= k < 8000 else 5.0
+            message = MeasuredState(step=k, x=[size * np.sin(2.0 * np.pi * k / 100)])
+            writer.write(channel, time, time, serialize_message(message))
+    assert main(["report", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "x[0]: 0.7 at first, 0.7 at last" in said
+    assert "at most 5 over 10 s" in said
+
+
 def test_the_second_in_which_a_recording_begins_is_reported(tmp_path, capsys):
     with BagWriter(tmp_path / "bag") as writer:
         channel = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
@@ -222,7 +236,7 @@ def test_a_loop_of_which_a_channel_more_is_measured_since_is_one_loop(tmp_path, 
             message = MeasuredState(step=k, x=[np.sin(2.0 * np.pi * k / 100)])
             writer.write(channel, time, time, serialize_message(message))
     assert main(["report", str(tmp_path)]) == 0
-    assert "Amplitude of x[1]: 0 in the first tenth" in capsys.readouterr().out
+    assert "Amplitude of x[1]: 0 at first, " in capsys.readouterr().out
     panels, _ = read_page(tmp_path / "history.html")
     assert [len(series["x"]) > 2 for series in panels["Amplitude"]["series"]] == [True] * 4
     assert panels["Amplitude"]["series"][1]["y"][0] == pytest.approx(1.0, rel=0.01)

@@ -66,12 +66,13 @@ def write_sentences(history: History) -> Iterator[str]:
         known = amplitude[np.isfinite(amplitude)]
         if not known.size:
             continue
-        tenth = max(1, known.size // 10)
+        tenth = max(3, known.size // 10)  # a loop that begins or ends is not how it does
         first, last = np.median(known[:tenth]), np.median(known[-tenth:])
         at = int(np.nanargmax(amplitude))
         yield (
-            f"Amplitude of {channel}: {first:.3g} in the first tenth of the time, {last:.3g} in "
-            f"the last, at most {amplitude[at]:.3g} ({_at(rows.time[at], MINUTE)})."
+            f"Amplitude of {channel}: {first:.3g} at first, {last:.3g} at last (medians of a tenth "
+            f"of the time or more), at most {amplitude[at]:.3g} over {rows.weight[at]:g} s "
+            f"({_at(rows.time[at], MINUTE)})."
         )
     lost = _length([(trip.begin, trip.end) for trip in tripped])
     yield (
