@@ -228,7 +228,7 @@ class Excitation:
         first += "there and back, then "
         needed = ""
         if whole <= left:
-            needed = f"about {round_up(whole):g} s if what was heard is what it moves, "
+            needed = f"at least {round_up(whole):g} s if what was heard is what it moves, "
         else:
             tqdm.write(
                 f"time = {rig.time:g} in the rig file is too short for the whole map: "
