@@ -200,7 +200,7 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         and not file.describes(f"{namespace}/vdp_plant")
     ):
         simulated = False
-        if not file.describes(f"{namespace}/rig"):
+        if not any(file.describes(f"{namespace}/{name}") for name in ("rig", "koop_guard")):
             notes.append(
                 f"{file.path} has no section for vdp_plant: the loop runs on the rig "
                 "(plant:=true: on the simulated plant)"
