@@ -167,6 +167,7 @@ def test_a_busy_machine_hides_no_wrong_pace(pace, level, paused):
     ("channel", "level", "text"),
     [
         ({}, OK, "x -1 to 1, standard deviation 0.7"),
+        ({"low": 101031.0, "high": 101618.4}, BAD, "x 101031 to 101618, beyond its limit 5"),
         ({"bad": 1.0}, BAD, "x is never a number"),
         ({"low": 1.0}, BAD, "x is always 1: dead sensor, or to be left out of 'measured'"),
         ({"high": 5.5}, BAD, "x -1 to 5.5, beyond its limit 5 before theta moves"),

@@ -92,7 +92,7 @@ def judge_channel(
 ) -> Finding:
     """Judge the values of one channel; ``limits`` come from the rig file."""
     low, high = limits
-    span = f"{name} {summary.low:.4g} to {summary.high:.4g}"
+    span = f"{name} {summary.low:.6g} to {summary.high:.6g}"
     if summary.bad == 1.0:
         return Finding(BAD, "channel", f"{name} is never a number: dead sensor, or another field")
     if summary.bad:

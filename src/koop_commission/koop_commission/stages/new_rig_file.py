@@ -207,7 +207,7 @@ class Interview:
         if samples is not None:
             least, most = np.nanmin(samples.x, axis=0), np.nanmax(samples.x, axis=0)
             ranges = zip(map(format_field, channels), least, most, strict=True)
-            seen = "seen: " + ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, a, b in ranges)
+            seen = "seen: " + ", ".join(f"{n} {a:.6g} to {b:.6g}" for n, a, b in ranges)
             proposals = propose_limits(least, most)
             seen += (
                 "; none proposed: a channel stands still, as one that follows theta does at rest"
