@@ -1,7 +1,7 @@
 // What the figures of the page and of a report have in common: colours, axes, marks, charts.
 
 import uPlot from "uplot";
-import { short } from "./format";
+import { labels } from "./format";
 
 const COLORS = 8;
 const FONT = "system-ui, sans-serif";
@@ -53,7 +53,7 @@ export function axis(size: number, log: boolean, more: uPlot.Axis = {}): uPlot.A
     stroke: style("--ink"),
     grid: { stroke: style("--line"), width: 1 },
     ticks: { stroke: style("--line"), width: 1, size: 4 },
-    values: (_u, splits) => splits.map((v) => (v === null ? "" : short(v))),
+    values: (_u, splits) => labels(splits),
     ...(log && { splits: decades, filter: (_u, splits) => splits }),
     ...more,
   };

@@ -10,6 +10,14 @@ export function short(value: number | null | undefined): string {
   return String(Number(value.toPrecision(4))).replace("-", "−");
 }
 
+/** Values along an axis, with more digits where they are alike; null: no text. */
+export function labels(values: readonly (number | null)[]): string[] {
+  const shown = values.filter((value) => value !== null);
+  const alike = new Set(shown.map(short)).size < shown.length;
+  const text = alike ? (v: number) => String(Number(v.toPrecision(9))).replace("-", "−") : short;
+  return values.map((value) => (value === null ? "" : text(value)));
+}
+
 export function clock(t: number): string {
   return new Date(t * 1000).toTimeString().slice(0, 8);
 }
