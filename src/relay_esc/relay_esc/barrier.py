@@ -7,8 +7,8 @@ What the relay asks for is changed as little as a margin h asks for, of which th
 h' is the margin's slope over u, as an excitation has shown it; mean and dev are of the margin over
 the last half dwell time and eight dwell times, dev is the mean absolute deviation. Inside the bound
 the relay is free, at it u stops, beyond it u goes back. While the barrier holds u back the relay
-does not turn away from the bound: each swing inwards would cost, and tell nothing that is not
-known. Without a margin (NaN) theta is held.
+does not turn away but goes on to the bound, unless the cost's level shows that it rises there: each
+swing inwards would cost, and tell nothing that is not known. Without a margin (NaN) theta is held.
 
 The published law descends the cost's estimated gradient and projects it with the estimated gradient
 of the margin (arXiv 2309.15401, 2404.08842); here the relay takes the place of the descent.
@@ -26,7 +26,7 @@ from koop_core.kernels import njit
 from koop_core.named_tuple import replace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
-from relay_esc.swing import gain
+from relay_esc.swing import falls, gain
 
 studied = partial(parameter, low=0.1, origin="random rigs with a constraint, commit 17fad32")
 
@@ -106,14 +106,11 @@ def answer(
     low = barrier.mean - BARRIER.deviations * barrier.deviation
     most = max(low / (q.dwell_samples * abs(q.slope)), -p.step_size)  # towards the bound
     out = -1.0 if q.slope > 0.0 else 1.0
-    stays = before.epsilon == -out and most < p.step_size * gain(
-        before.swing, before.u, before.epsilon
-    )
+    step = p.step_size * gain(before.swing, before.u, before.epsilon)
+    stays = before.epsilon == -out and most < step and falls(before.swing)
     if stays and state.epsilon != before.epsilon:  # the relay would turn away
-        u = before.u + out * min(most, 0.0)
-        state = replace(
-            state, epsilon=before.epsilon, since_flip=before.since_flip, swing=before.swing
-        )
+        u = before.u + out * most
+        state = relay.take(p, before, r)
     else:
         u = before.u + out * min(out * (state.u - before.u), most)
     u = min(max(u, relay.lowest(p, state.swing)), relay.highest(p, state.swing))

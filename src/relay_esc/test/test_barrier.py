@@ -20,21 +20,24 @@ def config(law, **values):
     return EscConfig(**{"law": law, "theta_min": -5.0, "theta_max": 5.0, **options, **values})
 
 
-def seek(esc, seconds, bound, noise=0.02, seed=1):
-    """Seek the least of 1 + theta^2 / 4, where 1 - exp(bound(t) - theta) is the margin.
+def seek(esc, seconds, bound, noise=0.02, seed=1, best=0.0):
+    """Seek the least of 1 + (theta - best)^2 / 4, where 1 - exp(bound(t) - theta) is the margin.
 
-    Both are seen behind a lag. Returns theta and the margin without noise, shape (M,).
+    With a slope below 0 the bound is from above. Both are seen behind a lag. Returns theta and the
+    margin without noise, shape (M,).
     """
+    side = -1.0 if esc.margin_slope < 0.0 else 1.0
     steps = round(seconds / DT)
     shake = np.random.default_rng(seed).normal(0.0, noise, (steps, 2))
     p, q = esc.params(DT), esc.barrier(DT)
     state, held = esc.initial(), barrier.UNKNOWN
-    r, s = 1.0 + esc.theta_initial**2 / 4.0, math.exp(bound(0.0) - esc.theta_initial)
+    r = 1.0 + (esc.theta_initial - best) ** 2 / 4.0
+    s = math.exp(side * (bound(0.0) - esc.theta_initial))
     theta, left = np.empty(steps), np.empty(steps)
     for k in range(steps):
         now = state.output
-        r += DT / LAG * (1.0 + now**2 / 4.0 - r)
-        s += DT / LAG * (math.exp(bound(k * DT) - now) - s)
+        r += DT / LAG * (1.0 + (now - best) ** 2 / 4.0 - r)
+        s += DT / LAG * (math.exp(side * (bound(k * DT) - now)) - s)
         arrival = int(Arrival.NEXT if k else Arrival.RESTART)
         state, held, _, _ = barrier.answer(
             p, q, state, held, arrival, False, False, r * math.exp(shake[k, 0]), False,
@@ -56,6 +59,25 @@ def test_theta_stays_at_the_bound_that_cuts_off_the_optimum(law, steeper):
     free, broken = seek(config(law), 1500.0, lambda t: 1.0)
     assert free[-5000:].mean() < 1.0
     assert (broken[-5000:] < 0.0).mean() > 0.9  # the test can fail
+
+
+@LAWS
+@pytest.mark.parametrize("start", [-1.05, -4.0])
+@pytest.mark.parametrize("tau_f", [3.0, 30.0])
+@pytest.mark.parametrize("speed", [0.1, 0.3])
+def test_theta_does_not_rest_on_its_way_to_the_bound(law, speed, tau_f, start):
+    """Failed before: a leg away from the bound and theta stood there for good, 0.4 beside it."""
+    esc = config(law, step_size=speed * DT, tau_f=tau_f, theta_initial=start, margin_slope=-1.0)
+    theta, left = seek(esc, 1500.0, lambda t: -1.0)
+    assert -1.25 < theta[-5000:].mean() < -1.0
+    assert (left[left.size // 3 :] < 0.0).mean() <= 0.01
+
+
+@pytest.mark.parametrize("start", [-1.05, -4.0])
+def test_an_optimum_beside_the_bound_is_sought_as_any(start):
+    esc = config("adaptive", step_size=0.1 * DT, theta_initial=start, margin_slope=-1.0)
+    theta, _ = seek(esc, 1500.0, lambda t: -1.0, best=-3.0)
+    assert theta[-5000:].mean() == pytest.approx(-3.0, abs=0.3)
 
 
 @LAWS
