@@ -6,7 +6,8 @@
     peak:  s_k = the largest |v| of this window and of the one before it
 
 Until a window has passed after a start or a join there is no margin (NaN), nor is there where the
-signal is not finite or was silent for a window. The first samples of an rms all count alike.
+signal, or its square, is not finite, or it was silent for a window. The first samples of an rms all
+count alike.
 """
 
 from __future__ import annotations
@@ -62,9 +63,9 @@ def follow(
     ``arrival`` is what the sample is to the ones before, up to JOIN; after a start or a join
     nothing is known.
     """
-    if arrival == Arrival.RESTART or arrival == Arrival.JOIN or not math.isfinite(v):
+    if arrival == Arrival.RESTART or arrival == Arrival.JOIN or not math.isfinite(v * v):
         state = BEGIN
-    if not math.isfinite(v):
+    if not math.isfinite(v * v):
         return math.nan, state
     samples = state.samples + 1
     if p.peak:
