@@ -57,6 +57,7 @@ AVERAGED = 4  # windows of a spectrum of what is listened to: 20 periods in each
 TOLD = 0.15  # e that is told: a frequency that has left the quarter looks like a larger one
 LEFT = 0.2  # of f0: a line farther away from the known range is no longer that of f0
 LEAKED = 2  # bins on either side of a line, and those of a trend
+LARGEST = 1e150  # of a measured value, whose square is finite
 FAINT = 1e-6  # of the largest power of a spectrum: no line that has appeared
 TINY = float(np.finfo(float).tiny)
 
@@ -155,6 +156,8 @@ def _add(s: Spectrum, x: NDArray[np.float64]) -> complex:
                 quarters = (FIRST_BIN + m) * (SEGMENTS - 1 - age) % 4  # since the oldest
                 c += BLACKMAN[m] * QUARTERS[quarters] * sums[age, i, m]
         variance = squares - total * total / (SEGMENTS * cursor[1])
+        if cursor[4] > 1:
+            variance = min(variance, WATCH.spike * s.usual[i])
         s.usual[i] += (variance - s.usual[i]) / min(cursor[4], WATCH.memory)
         if cursor[2] > SEGMENTS and s.usual[i] > 0.0:
             product += s.amplitude[i].conjugate() * c / s.usual[i]
@@ -180,7 +183,8 @@ def _side(side: Side, gain: float, e: float) -> Side:
 def _count(threshold: float, t: Tally, product: complex) -> Tally:
     """Take a window."""
     n, e = t.windows + 1, math.atan2(product.imag, product.real) / (4.0 * math.pi)
-    usual = t.power + (abs(product) - t.power) / min(n, WATCH.memory)
+    power = abs(product) if n == 1 else min(abs(product), WATCH.spike * t.power)
+    usual = t.power + (power - t.power) / min(n, WATCH.memory)
     w = min(abs(product) / usual, 1.0) if usual > 0.0 else 0.0
     away = e - t.mean
     mean = t.mean + w * away / min(n, WATCH.averaged)
@@ -202,7 +206,7 @@ def _count(threshold: float, t: Tally, product: complex) -> Tally:
 def follow(threshold: float, s: Spectrum, tally: Tally, step: int, x: NDArray[np.float64]) -> Tally:
     """Take a measured state, shape (n,); one or two lost ones are as the one before."""
     for i in range(x.shape[0]):
-        if not math.isfinite(x[i]):
+        if not abs(x[i]) < LARGEST:
             return tally
     lost = step - s.cursor[3] - 1
     if lost < 0 or lost > COST.bridged:
@@ -245,7 +249,7 @@ def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
     """Take a measured state, shape (n,); what is full takes no more."""
     cursor = ear.cursor
     for i in range(x.shape[0]):
-        if not math.isfinite(x[i]):
+        if not abs(x[i]) < LARGEST:
             return
     lost = step - cursor[3] - 1
     cursor[3] = step
@@ -440,7 +444,8 @@ class Watch:
                     return Change(own, at, interference=True)
                 self._begin(at)
                 return Change(own, at)
-        self._most, self._last = np.maximum(self._most, self._last), power
+        known = np.minimum(self._last, WATCH.bang * self._most)
+        self._most, self._last = np.maximum(WATCH.kept * self._most, known), power
         return None
 
     @property

@@ -43,6 +43,11 @@ class WatchSettings(Settings):
     outshone: float = judged(
         10.0, "power of a line over what was there and is left, when it is the oscillation", low=2.0
     )
+    spike: float = judged(
+        100.0, "power of a window over the usual one, of which no more is learned", low=2.0
+    )
+    bang: float = judged(1e3, "the same, of a spectrum's line over the most", low=10.0)
+    kept: float = judged(0.999, "of that most, after each spectrum", low=0.5, high=1.0)
     stayed: float = judged(
         0.5, "of the power of the oscillation's line that is left where it has not moved", low=0.0
     )

@@ -128,6 +128,30 @@ def test_a_mode_that_has_jumped_is_seen_though_its_phases_are_lost(ratio, when):
     assert change.after == pytest.approx(ratio, rel=0.02)
 
 
+@pytest.mark.parametrize("wild", [1e30, 1e200])
+def test_a_value_that_cannot_be_does_not_end_the_watch(wild):
+    """Failed before: what was usual then took hours to come back, or never did."""
+    before, after = samples(LEARNED + 1200), samples(40)
+    frequency = np.ones(before + after)
+    frequency[before:] = 1.1
+    x = swinging(frequency, noise=0.03)
+    x[samples(LEARNED)] = wild
+    ((k, _),) = changes(Watch(1, DT), x)
+    assert 0 < (k - before) * DT <= 10.0
+
+
+def test_a_mode_that_jumps_after_a_bang_is_seen():
+    """Failed before: the spectrum of the bang outshone it for ever."""
+    before, after = samples(2 * LEARNED), samples(320)
+    frequency = np.ones(before + after)
+    frequency[before:] = 1.5
+    x, bang = swinging(frequency, noise=0.03), np.exp(-np.arange(200) / 20.0)
+    x[samples(LEARNED) :][:200, 0] += 1e3 * bang * np.random.default_rng(0).normal(size=200)
+    ((k, change),) = changes(Watch(1, DT), x)
+    assert k > before
+    assert change.after == pytest.approx(1.5, rel=0.02)
+
+
 def test_what_a_controller_does_to_the_amplitude_is_no_change():
     size = samples(20_000)
     x = swinging(np.ones(size), seeking(size), noise=0.03, tones=0.5)
