@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from koop_core.borrowed import borrowed
 from koop_core.kernels import njit
 from koop_core.port import IDLE, MORE
 from koop_core.wakeup import Wakeup, wait
@@ -32,10 +33,11 @@ def run(
 ]:  # fmt: skip
     """Run the loop until a node has a reason to stop, at most so many steps."""
     one = two = three = MORE
+    lent = borrowed(lifter), borrowed(controller), borrowed(plant)
     for _ in range(most):
-        one, lifted = lifter_stage.answer_next(lifter, lifted)
-        two, controlled = controller_stage.answer_next(controller, controlled)
-        three, advanced = plant_stage.step_next(plant, advanced)
+        one, lifted = lifter_stage.answer_next(lent[0], lifted)
+        two, controlled = controller_stage.answer_next(lent[1], controlled)
+        three, advanced = plant_stage.step_next(lent[2], advanced)
         reason = max(one, two, three)
         if reason == IDLE:
             reason = one = wait(wakeup)

@@ -111,8 +111,15 @@ def _without_owner(typing: Any, array: Any) -> Any:
 
 
 @overload(borrowed)
-def _borrowed(array):  # type: ignore[no-untyped-def]
-    return lambda array: _without_owner(array)
+def _borrowed(lent):  # type: ignore[no-untyped-def]
+    if isinstance(lent, types.Array):
+        return lambda lent: _without_owner(lent)
+    if not isinstance(lent, types.BaseNamedTuple):
+        return lambda lent: lent
+    values = (f"borrowed(lent.{name})" for name in lent.fields)
+    space = {"made": lent.instance_class, "borrowed": borrowed}
+    exec(f"def made_of(lent): return made({', '.join(values)})", space)
+    return space["made_of"]
 
 
 @intrinsic

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.borrowed import borrowed
 from koop_core.foreign import call
 from koop_core.kernels import Kernel, njit
 from koop_core.port import IDLE, MORE
@@ -59,9 +60,9 @@ def alone(answer_next: Kernel) -> Kernel:
 
     @njit(nogil=True)
     def answer(most: int, wakeup: Wakeup, stage: Any, progress: Any) -> Any:
-        reason = MORE
+        reason, lent = MORE, borrowed(stage)
         for _ in range(most):
-            reason, progress = answer_next(stage, progress)
+            reason, progress = answer_next(lent, progress)
             if reason == IDLE:
                 reason = wait(wakeup)
             if reason != MORE:

@@ -85,7 +85,7 @@ def run_kernel(
     """
     states = borrowed(measured)
     source, lifting, detector_params, relay_params = controller
-    lifting, work = cost.borrow(lifting, work)
+    lifting, work = borrowed(lifting), borrowed(work)
     detector = memory.detector
     command: Any = memory.relay
     applied: Any

@@ -33,7 +33,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.borrowed import borrowed
 from koop_core.kernels import njit
 from koop_core.named_tuple import replace
 from koop_core.stream.arrival import Arrival
@@ -92,20 +91,6 @@ def no_lifting() -> Lifting:
     """Return a placeholder for the raw cost, which needs no model."""
     observables = Monomials(2, 1)
     return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)), 2, 2, 1)
-
-
-@njit(inline="always")
-def borrow(lifting: Lifting, work: Workspace) -> tuple[Lifting, Workspace]:
-    """Return both for a loop whose kernel has them; see :func:`koop_core.kernels.borrowed`."""
-    return (
-        Lifting(
-            borrowed(lifting.parent), borrowed(lifting.factor), borrowed(lifting.projector),
-            lifting.channels, lifting.n, lifting.every,
-        ),
-        Workspace(
-            borrowed(work.z), borrowed(work.embedded), borrowed(work.ring), borrowed(work.cursor)
-        ),
-    )  # fmt: skip
 
 
 class DetectorParams(NamedTuple):

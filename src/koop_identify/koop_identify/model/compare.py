@@ -119,7 +119,7 @@ def _energies(
     begins: NDArray[np.bool_],
     y_out: NDArray[np.float64],
 ) -> None:
-    lifting, work = cost.borrow(lifting, work)
+    lifting, work = borrowed(lifting), borrowed(work)
     states = borrowed(x)
     for k in range(y_out.shape[0]):
         arrival = Arrival.JOIN if begins[k] else Arrival.NEXT

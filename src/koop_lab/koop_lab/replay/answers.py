@@ -73,7 +73,7 @@ def replay_kernel(
         After the last message.
     """
     source, lifting, detector_params, relay_params = p
-    lifting, work = cost.borrow(lifting, work)
+    lifting, work = borrowed(lifting), borrowed(work)
     states = borrowed(x)
     detector, relay = memory
     for k in range(r.shape[0]):

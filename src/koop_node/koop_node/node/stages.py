@@ -19,7 +19,7 @@ from koop_node.node.executor import Executor
 from koop_node.node.managed import ManagedNode
 from koop_node.process.housekeeping import release_compiler
 
-MOST = 500  # messages of a call: for so long timers and others may wait
+MOST = 1000  # messages of a call: for so long, 10 ms, timers and others may wait
 
 
 def stages_of_one(nodes: Sequence[ManagedNode[Any]]) -> list[Stages]:

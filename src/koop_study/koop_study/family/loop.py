@@ -142,7 +142,7 @@ def _close(
 ) -> None:
     """Fill in each block's mean square of the amplitude."""
     steps, blocks = noise.shape[0], power.shape[0]
-    lifting, work = cost.borrow(lifting, work)
+    lifting, work = borrowed(lifting), borrowed(work)
     states = borrowed(measured)
     cost_state = cost.initial()
     power[:] = 0.0
