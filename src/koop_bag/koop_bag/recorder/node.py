@@ -119,7 +119,7 @@ class RecorderRun(Run):
         total = sum(lost.values())
         problems = [self._scarce, ALARMS_FULL if self._writer.alarms_full else ""]
         problems.append(f"{total} messages lost" if total else "")
-        problems += [topic.silence() for topic in self._topics.values()]
+        problems += [t.foreign or t.silence() for t in self._topics.values()]
         problem = "; ".join(filter(None, problems))
         return (WARN, problem, values) if problem else (OK, "recording", values)
 

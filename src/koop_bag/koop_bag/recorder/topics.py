@@ -57,6 +57,8 @@ class RecordedTopic:
         self.publishers: set[str] = set()
         """Full names of their nodes."""
         self.losses = LossCounter() if has_step(self.schema.name, self.schema.text) else None
+        self.foreign = ""
+        """What to say of publishers of another type."""
         self._announce = announce
         self._node = node
         self._type = message_type(self.schema.name)
@@ -136,11 +138,9 @@ class RecordedTopic:
         self._told = told
         every, kind = self._node.get_publishers_info_by_topic(self.name), self.schema.name
         infos = [info for info in every if info.topic_type == kind]
-        if others := sorted({info.topic_type for info in every} - {kind}):
-            self._node.get_logger().warning(
-                f"{self.name} is published as {' and '.join(others)}, which is not recorded: it is "
-                f"recorded as {kind}"
-            )
+        self.foreign = ""
+        if others := " and ".join(sorted({info.topic_type for info in every} - {kind})):
+            self.foreign = f"{self.name} is published as {others}: only {kind} is recorded"
         if not infos:
             return
         names = [f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos]
