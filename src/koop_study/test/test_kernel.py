@@ -33,7 +33,7 @@ def test_it_is_the_nodes_loop_to_the_last_bit(cost: str) -> None:
 
 @pytest.mark.parametrize("duration", [50.0, 101.0, 200.0])
 def test_a_run_of_any_length_is_drawn(duration: float) -> None:
-    drawn = trace({"cost": "raw", "duration": duration}, None)
+    drawn = trace({"cost": "raw", "duration": duration})
     first = 0.0 if duration <= LOGGING_START else LOGGING_START
     assert drawn["t"][0] == pytest.approx(first)
     assert first < drawn["t"][-1] < duration

@@ -125,7 +125,7 @@ def units(config: CasesConfig) -> list[Unit]:
     for table in config.tables:
         for case in config.cases(table):
             if config.seeds is None:
-                result.append(Unit("trace", {"settings": case.settings, "seed": None}))
+                result.append(Unit("trace", {"settings": case.settings}))
             for seeds in config.chunks():
                 more = {} if table.parameters else {"with_r_star": True}
                 arguments = {"settings": case.settings, "seeds": seeds, **more}

@@ -160,7 +160,7 @@ class KnobsConfig:
             raise ConfigError(f"duration = {self.duration:g}: must be from 10 to 1e6 dwell times")
         if unknown := set(self.yardsticks) - set(SOURCES):
             raise ConfigError(f"yardsticks: no {min(unknown)!r}, there are {', '.join(SOURCES)}")
-        case_of(self.settings, None)
+        case_of(self.settings)
 
     def maps(self) -> list[tuple[int, float, bool]]:
         """Return knobs, condition and whether one does nothing, of each row."""

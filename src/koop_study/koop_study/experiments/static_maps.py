@@ -50,9 +50,9 @@ class StaticMapsConfig:
 def units(config: StaticMapsConfig) -> list[Unit]:
     """Return one unit a map."""
     return [
-        Unit("ramp", {"settings": settings, "seed": None, "duration": duration})
+        Unit("ramp", {"settings": settings, "duration": duration})
         if duration
-        else Unit("settled", {"settings": settings, "seed": None})
+        else Unit("settled", {"settings": settings})
         for _, duration, settings in config.maps()
     ]
 

@@ -109,7 +109,7 @@ def seeded(case: Case, seed: int) -> Case:
     return replace(case, plant=plant, training=replace(case.training, seed=seed))
 
 
-def case_of(settings: dict[str, Any], seed: int | None) -> Case:
+def case_of(settings: dict[str, Any], seed: int | None = None) -> Case:
     """Return the case of some settings; without a seed, everything is as in the paper.
 
     Raises

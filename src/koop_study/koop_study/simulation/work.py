@@ -25,14 +25,13 @@ POINTS = 900  # that a drawn trace is thinned to
 def check(work: str, arguments: dict[str, Any]) -> None:
     """Raise ConfigError if a work's settings cannot be used, before anything is computed."""
     settings = arguments.get("settings", {})
-    seeds = arguments.get("seeds", [arguments.get("seed")])
     if work == "modes":
         for name in settings:
             if name.partition(".")[0] not in ("plant", "training") or name == "training.seed":
                 raise ConfigError(f"{name}: has no effect on the modes of seeds")
         override(Case(), settings)
     elif work in RUNS:
-        case_of(settings, seeds[0])
+        case_of(settings, *arguments.get("seeds", [])[:1])
 
 
 def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) -> list[Any]:
@@ -61,9 +60,9 @@ def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
     }
 
 
-def ramp(settings: dict[str, Any], seed: int | None, duration: float) -> dict[str, Any]:
+def ramp(settings: dict[str, Any], duration: float) -> dict[str, Any]:
     """Return the static map along a ramp: thinned for drawing, and binned."""
-    case = case_of(settings, seed)
+    case = case_of(settings)
     theta, r = maps.ramp(case, duration)
     low, high = _drawn(r)
     centres = theta[: low.size * (r.size // low.size)].reshape(low.size, -1).mean(axis=1)
@@ -75,10 +74,9 @@ def ramp(settings: dict[str, Any], seed: int | None, duration: float) -> dict[st
     }
 
 
-def settled(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
+def settled(settings: dict[str, Any]) -> dict[str, Any]:
     """Return the settled static map: mean and the 10 and 90 % quantiles over a drift period."""
-    case = case_of(settings, seed)
-    loop = loop_of(case)
+    loop = loop_of(case_of(settings))
     costs = [settled_cost(*loop, float(theta)) for theta in maps.grid()]
     return {  # unusable states have no cost
         "theta": maps.grid().tolist(),
@@ -88,12 +86,12 @@ def settled(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
     }
 
 
-def trace(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
+def trace(settings: dict[str, Any]) -> dict[str, Any]:
     """Run one closed loop; return its signals, thinned, and metrics.
 
     They begin where the paper logs; those of a shorter run at its begin.
     """
-    case = case_of(settings, seed)
+    case = case_of(settings)
     done = run(case)
     first = round(LOGGING_START / case.plant.dt) if case.duration > LOGGING_START else 0
     signals = {"x": done.ground_truth[:, 0], "r": done.r, "theta": done.theta}
