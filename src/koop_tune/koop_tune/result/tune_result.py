@@ -119,9 +119,10 @@ class AmplitudeMap:
         if not self.motion:
             return ""
         return (
-            f"the optimum moved by {100.0 * self.motion:.2g} % of the range while this was "
-            "recorded: thetas are those at which the rig would now be as it was (hysteresis looks "
-            "alike: if it depends on where theta came from, narrow the limits and record again)"
+            f"it looks as if the optimum moved by {100.0 * self.motion:.2g} % of the range while "
+            "this was recorded: thetas are those at which the rig would now be as it was (an "
+            "amplitude that wanders for longer than theta was held looks alike, and hysteresis: if "
+            "it depends on where theta came from, narrow the limits and record again)"
         )
 
 

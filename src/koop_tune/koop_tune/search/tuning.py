@@ -172,7 +172,7 @@ def refuse_undamped(prediction: Prediction, findings: Findings) -> None:
     low, high = findings.scale.theta(np.array(findings.static_map.valley()))
     best = f"{findings.scale.theta_at(findings.static_map.best()):.4g}"
     if findings.static_map.motion:  # or a hysteresis that looks like one
-        best = f"theta_safe (best was {best}, which moves)"
+        best = f"theta_safe (best was {best}, which seems to move)"
     raise NoOptimum(
         "undamped",
         f"with the best constants of the search the loop is predicted to end at {ends} and to "
