@@ -107,7 +107,8 @@ def reading_of(bag: Path, rig: RigFile, windows: Windows | None = None) -> BagRe
 def load_since(
     bags: Sequence[Path], rig: RigFile, excitation: ExcitationProgress
 ) -> tuple[Loaded, BagReading]:
-    """Load recordings of a rig from where on the holds of its excitation count.
+    """Load recordings of a rig from where on the holds of its excitation count; all of one of
+    which nothing is known yet.
 
     Raises
     ------
@@ -115,7 +116,8 @@ def load_since(
         If they cannot be used.
     """
     loaded, reading = load_bags(bags, reading_of(bags[0], rig, excitation.windows))
-    return loaded.after(int(excitation.since / rig.dt)), reading
+    since = 0.0 if excitation.amplitude is None else excitation.since
+    return loaded.after(int(since / rig.dt)), reading
 
 
 def list_bags(folder: Path, rig: RigFile, state: ExcitationProgress) -> list[Path]:

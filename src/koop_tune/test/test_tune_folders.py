@@ -15,7 +15,7 @@ from koop_tune.excitation.amplitude import Windows
 from koop_tune.excitation.design import KNOWN, TIME
 from koop_tune.folder import CONTROLLER, TUNED, find_controller
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.tune_folders import find_bags, reading_of, tune_folders
+from koop_tune.tune_folders import find_bags, load_since, reading_of, tune_folders
 
 RIG = RigFile(
     "/state:x[0],x[1]", "/knob:data", 0.01, 0.0, 1.0, 0.5, 0.5, 0.5,
@@ -83,6 +83,16 @@ def test_the_bags_of_an_excitation_are_those_of_its_parts(tmp_path, capsys):
     assert "not finished" in capsys.readouterr().out
     bags, read = find_bags([loop], RIG)
     assert (bags, read.amplitude) == ([loop], None)
+
+
+@pytest.mark.parametrize(("amplitude", "count"), [(make_amplitude(64, 0.01), 20), (None, 50)])
+def test_all_of_a_recording_is_looked_at_where_nothing_reacted(tmp_path, amplitude, count):
+    """Failed before: 'theta was held at 2 values' was said of a rig that was excited in vain."""
+    state = progress.ExcitationProgress(Windows(64, 0.01), amplitude, since=0.3)
+    bag = write(tmp_path / "bag", ["/knob"])
+    assert load_since([bag], RIG, state)[0].x.shape == (2, count)
+    end = replace(state, elapsed=RIG.time).describe_end(RIG)
+    assert ("koop check" in end) == (amplitude is None)
 
 
 @pytest.mark.parametrize("ended", ["", TIME, KNOWN])

@@ -98,10 +98,10 @@ class ExcitationProgress:
     def describe_end(self, rig: RigFile) -> str:
         """Return in words why it ended before the map was known."""
         if self.elapsed >= rig.time:
-            return (
-                f"the {rig.time:g} s of the rig file were over before the static map was known: "
-                f"{self.longer} and run the same command again"
-            )
+            over = f"the {rig.time:g} s of the rig file were over before the static map was known"
+            if self.amplitude is None:
+                over += ", and nothing reacts to theta so far ('koop check' tells if it gets there)"
+            return f"{over}: {self.longer} and run the same command again"
         return (  # as many holds as there may be
             "the static map is not known yet, and more holds would not help: noise hides the "
             "oscillation, or the rig changes while theta is held; measure where it is stronger, or "
