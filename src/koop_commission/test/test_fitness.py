@@ -102,7 +102,8 @@ def test_a_dead_sensor_and_a_command_that_is_not_applied_are_a_finding_each():
     reaction = compare_blocks(features, draw_order(8, random.Random(5)))
     finding = judge_reaction(reaction, ["x"], "theta from 0 to 1")
     assert finding.level == BAD
-    assert finding.text.endswith("the command is not applied, or theta has no effect there")
+    assert "the command is not applied, or theta has no effect there: " in finding.text
+    assert finding.text.endswith("or choose another theta_start")
     assert "nothing reacts (p = 0." in finding.text
 
 

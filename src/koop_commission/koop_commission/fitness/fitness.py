@@ -136,7 +136,10 @@ def describe_lines(name: str, peaks: Sequence[Line]) -> Finding:
 def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Finding:
     """Judge whether theta reaches the rig; ``between`` are its values, in words."""
     if reaction.p > max(DEFAULTS.p, DEFAULTS.p_more):
-        why = "the command is not applied, or theta has no effect there"
+        why = (
+            "the command is not applied, or theta has no effect there: see that the rig takes it, "
+            "or choose another theta_start"
+        )
         return Finding(BAD, "theta", f"{between}: nothing reacts (p = {reaction.p:.2f}): {why}")
     name, change = names[reaction.feature], reaction.change
     how = f"moves by {change:.3g}" if name.startswith("mean") else describe_change(change)
