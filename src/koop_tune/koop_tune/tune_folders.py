@@ -107,8 +107,9 @@ def reading_of(bag: Path, rig: RigFile, windows: Windows | None = None) -> BagRe
 def load_since(
     bags: Sequence[Path], rig: RigFile, excitation: ExcitationProgress
 ) -> tuple[Loaded, BagReading]:
-    """Load recordings of a rig from where on the holds of its excitation count; all of one of
-    which nothing is known yet.
+    """Load recordings of a rig from where on the holds of its excitation count.
+
+    All counts where nothing has reacted yet.
 
     Raises
     ------
