@@ -1,6 +1,8 @@
 """The report's sentences, stages, tables and figures, of folders whose content is known."""
 
+import html
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -204,6 +206,16 @@ def test_sections_follow_how_far_the_commissioning_has_come():
     assert names[0] == ["rig-section", "map-section", "spectra"]
     assert names[1] == ["rig-section", "map-section", "spectra", "costs"]
     assert names[2][3:] == ["costs", "loop", "constants-section"]
+
+
+def test_a_folder_of_any_name_is_the_title_of_its_page(tmp_path):
+    (folder := tmp_path / "R&D <1>").mkdir()
+    progress.save(excitation(holds()), RIG, folder)
+    page = write_report(folder).read_text()
+    for tag in ("title", "h1"):
+        (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page)
+        assert html.unescape(text) == "Commissioning: R&D <1>"
+        assert "<1>" not in text
 
 
 def test_the_rig_file_is_a_table_with_the_meaning_of_each_key():

@@ -14,10 +14,6 @@ from koop_view.report import markup
 
 NAME = "report.html"
 SIGNS = {"done": "✓", "missing": "…", "no": "✗"}
-HINT = (
-    "In figures: point at a curve to read it, drag to zoom in, double-click to zoom out, click a "
-    "name to hide it."
-)
 
 
 def write_report(folder: Path) -> Path:
@@ -46,18 +42,13 @@ def try_report(folder: Path) -> str:
 
 def _make_page(c: Contents) -> str:
     sections = list(make_sections(c))
-    title = html.escape(f"Commissioning: {c.folder.resolve().name}")
-    links = "".join(f'<a href="#{part.name}">{html.escape(part.title)}</a>' for part in sections)
-    verdict = "".join(f"<p>{html.escape(text)}</p>" for text in write_sentences(c))
-    body = [
-        f"<h1>{title}</h1>",
-        f'<div class="verdict">{verdict}</div>',
+    head = [
+        markup.verdict(write_sentences(c)),
         f'<ol class="stages">{"".join(map(_format_stage, list_stages(c)))}</ol>',
-        f"<nav>{links}</nav>",
-        f"<p><small>{HINT}</small></p>",
-        *map(markup.section, sections),
+        markup.contents(sections),
+        f"<p><small>{markup.HINT}</small></p>",
     ]
-    return markup.page(title, body, sections)
+    return markup.page(f"Commissioning: {c.folder.resolve().name}", head, sections)
 
 
 def _format_stage(stage: Stage) -> str:

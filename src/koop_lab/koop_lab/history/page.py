@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -27,8 +26,7 @@ from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section
 POINTS = 700  # of a curve
 MARKS = 40  # trips that are named in the figure
 HINT = (
-    "In figures: point at a curve to read it, drag to zoom in, double-click to zoom out. Curves "
-    "are means, bands reach from the least to the largest. All times are UTC."
+    f"{markup.HINT} Curves are means, bands reach from the least to the largest. All times are UTC."
 )
 TIME = "time (UTC)"
 DAY, MINUTE, SECOND = "%-d %B %Y, %H:%M", "%-d %b, %H:%M", "%a %-d %b %H:%M:%S"
@@ -42,14 +40,8 @@ def make_page(histories: Sequence[History]) -> str:
     begin, end = runs[0].begin, max(run.end for run in runs)
     title = f"Report from {_at(begin, DAY)} to {_at(end, DAY)}"
     sentences = [text for item in histories for text in write_sentences(item)]
-    verdict = "".join(f"<p>{html.escape(text)}</p>" for text in [*sentences, *histories[0].damaged])
-    body = [
-        f"<h1>{title}</h1>",
-        f'<div class="verdict">{verdict}</div>',
-        f"<p><small>{HINT}</small></p>",
-        *map(markup.section, sections),
-    ]
-    return markup.page(title, body, sections)
+    verdict = markup.verdict([*sentences, *histories[0].damaged])
+    return markup.page(title, [verdict, f"<p><small>{HINT}</small></p>"], sections)
 
 
 def write_sentences(history: History) -> Iterator[str]:

@@ -42,20 +42,15 @@ def render(sections: Sequence[Section], experiments: Sequence[Experiment], comma
     command : str
         What makes the page again.
     """
-    links = "".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
-    body = [
-        f"<h1>{TITLE}</h1>",
+    head = [
         _summary(sections),
         "<p>Salsbury, Yu and Mukherjee, <i>Data-Driven Koopman-Enhanced Extremum Seeking for "
         "Oscillation Damping in Nonlinear Systems</i> (arXiv 2605.06804), reproduced, tested "
         "and taken further. Every sentence of this page is made from the table that it links "
-        "to. In figures: point at a curve to read it, drag to zoom in, double-click to zoom "
-        "out, click a name to hide it.</p>",
-        f"<nav>{links}<a href='#settings'>Settings</a></nav>",
-        *(markup.section(section) for section in sections),
-        _settings(experiments, command),
+        f"to. {markup.HINT}</p>",
+        markup.contents(sections, "<a href='#settings'>Settings</a>"),
     ]
-    return markup.page(TITLE, body, sections)
+    return markup.page(TITLE, head, sections, _settings(experiments, command))
 
 
 def _summary(sections: Sequence[Section]) -> str:

@@ -6,35 +6,41 @@ import html
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
 from koop_view.report.document import Claim, Column, Figure, Section, Table
 
+HINT = (
+    "In figures: point at a curve to read it, drag to zoom in, double-click to zoom out, click a "
+    "name to hide it."
+)
 DIGITS = 5  # significant, of the points of figures
 LONG = 40  # characters of a cell, above which its words are wrapped
 
 
-def page(title: str, body: Sequence[str], sections: Sequence[Section]) -> str:
-    """Return a page.
-
-    Parameters
-    ----------
-    title : str
-        Title of the window.
-    body : sequence of str
-        HTML, part after part; empty ones are left out.
-    sections : sequence of Section
-        The sections in the body; their figures are stored in the page.
-    """
+def page(title: str, head: Sequence[str], sections: Sequence[Section], end: str = "") -> str:
+    """Return a page: its title, HTML, part after part, then the sections, and HTML at the end."""
+    body = [f"<h1>{html.escape(title)}</h1>", *head, *map(section, sections), end]
     frame = (files("koop_view") / "page" / "report.html").read_text(encoding="utf-8")
     figures = {f.name: _plain(asdict(f)) for part in sections for f in part.figures}
     data = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    head, middle, script, end = re.split("<!--(?:TITLE|BODY|FIGURES)-->", frame)
+    before, middle, script, after = re.split("<!--(?:TITLE|BODY|FIGURES)-->", frame)
     data = data.replace("<", "\\u003c")  # no string may end the script element
-    return "".join([head, html.escape(title), middle, lines(body), script, data, end])
+    return "".join([before, html.escape(title), middle, lines(body), script, data, after])
+
+
+def contents(sections: Sequence[Section], more: str = "") -> str:
+    """Return links to sections, and ``more`` of them as HTML."""
+    links = "".join(f'<a href="#{part.name}">{html.escape(part.title)}</a>' for part in sections)
+    return f"<nav>{links}{more}</nav>"
+
+
+def verdict(sentences: Iterable[str]) -> str:
+    """Return the sentences that a page begins with."""
+    return f'<div class="verdict">{"".join(f"<p>{html.escape(s)}</p>" for s in sentences)}</div>'
 
 
 def _plain(value: Any) -> Any:
