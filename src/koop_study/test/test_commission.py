@@ -18,7 +18,7 @@ from koop_study.family.config import FamilyConfig
 from koop_study.family.rig import draw
 
 STRATA = {"usual": {}, "deep": {"depth": [5.0, 100.0], "channels": [1, 4]}}
-CONFIG = CommissionConfig(Seeds(10, 3), STRATA, {"channels": [1, 2]})
+CONFIG = CommissionConfig(Seeds(10, 3), STRATA, family={"channels": [1, 2]})
 
 
 def row(stratum: str, **changes: Any) -> dict[str, Any]:

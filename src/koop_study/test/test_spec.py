@@ -112,6 +112,12 @@ def test_a_setting_without_effect_is_refused(settings: dict[str, object], messag
             "tables: [{name: a, title: A}]",
             r"plant\.mu = -1: must be",
         ),
+        (
+            "experiment: knobs\nseeds: &seeds {first: 0, count: 1}\nknobs: [2]\nconditions: [10]\n"
+            "duration: 100\nplant_knobs: [2]\ncommissioned: {seeds: *seeds, knobs: [2], "
+            "conditions: [10], family: {}, rate: -1.0, excitation: 9, duration: 9, effort: 1}",
+            r"commissioned: rate = -1: must be",
+        ),
     ],
 )
 def test_an_experiment_that_cannot_work_is_refused_before_it_runs(

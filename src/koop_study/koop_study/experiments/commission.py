@@ -22,16 +22,12 @@ from koop_view.report.document import Column, Section, Table
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class CommissionConfig(Settings):
-    """Rigs, and how long each may be excited and is verified."""
+@dataclass(frozen=True, kw_only=True)
+class RigSettings(Settings):
+    """How each rig is drawn, excited, tuned and verified."""
 
-    rigs: Seeds
-    """Seeds of the first stratum; each of the others has as many, the next ones."""
-    strata: dict[str, dict[str, Any]]
-    """Settings of the family of each stratum."""
     family: dict[str, Any] = field(default_factory=dict)
-    """Settings of the family that all strata have, whatever they say themselves."""
+    """Settings of the family that all rigs have."""
     rate: float = parameter(
         0.5, "largest change of theta: ranges in the rig's own time", low=1e-4, high=1e4
     )
@@ -43,6 +39,21 @@ class CommissionConfig(Settings):
         80.0, "run of verification, in the rig's own time", low=1.0, high=1e4
     )
     effort: float = parameter(1.0, "search budget (1 = default)", low=1e-3, high=1e3)
+
+    @property
+    def shared(self) -> dict[str, Any]:
+        """Arguments that all units have, but the family."""
+        return {name: getattr(self, name) for name in ("rate", "excitation", "duration", "effort")}
+
+
+@dataclass(frozen=True)
+class CommissionConfig(RigSettings):
+    """Rigs of several strata."""
+
+    rigs: Seeds
+    """Seeds of the first stratum; each of the others has as many, the next ones."""
+    strata: dict[str, dict[str, Any]]
+    """Settings of the family of each stratum."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,9 +72,7 @@ def units(config: CommissionConfig) -> list[Unit]:
     first, count = config.rigs.first, config.rigs.count
     return [
         Unit("commission_plant",
-             {"stratum": name, "family": config.settings(name), "seed": seed, "rate": config.rate,
-              "excitation": config.excitation, "duration": config.duration,
-              "effort": config.effort})
+             {"stratum": name, "family": config.settings(name), "seed": seed, **config.shared})
         for i, name in enumerate(config.strata)
         for seed in Seeds(first + i * count, count).list()
     ]  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 
 from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError
+from koop_study.experiments.commission import RigSettings
 from koop_study.experiments.seeds import Seeds
 from koop_study.experiments.stats import quantile
 from koop_study.family.config import FamilyConfig
@@ -69,8 +70,8 @@ SOURCES = {
 
 
 @dataclass(frozen=True)
-class Commissioned:
-    """Rigs that are commissioned, and how."""
+class Commissioned(RigSettings):
+    """Rigs that are commissioned; the times are for each knob."""
 
     seeds: Seeds
     """Seeds of every row."""
@@ -78,16 +79,9 @@ class Commissioned:
     """Numbers of knobs."""
     conditions: tuple[float, ...]
     """Condition numbers of their couplings."""
-    family: dict[str, Any]
-    """Settings of the rigs' family."""
-    rate: float
-    excitation: float
-    duration: float
-    effort: float
-    """As of :class:`koop_study.experiments.commission.CommissionConfig`, the times for each knob.
-    """
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         parse(FamilyConfig, self.family, "family")
 
     def rigs(self) -> list[tuple[int, float, bool]]:
@@ -96,11 +90,10 @@ class Commissioned:
 
     def units(self) -> list[Unit]:
         """Return one unit a rig."""
-        names = ("family", "rate", "excitation", "duration", "effort")
-        same = {name: getattr(self, name) for name in names}
         return [
             Unit("commission_knobs",
-                 {"n": n, "condition": condition, "useless": useless, "seed": seed, **same})
+                 {"n": n, "condition": condition, "useless": useless, "seed": seed,
+                  "family": self.family, **self.shared})
             for n, condition, useless in self.rigs()
             for seed in self.seeds.list()
         ]  # fmt: skip
