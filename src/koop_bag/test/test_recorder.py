@@ -3,6 +3,7 @@
 import hashlib
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -131,12 +132,13 @@ def test_a_node_that_answers_no_question_is_known_by_what_it_announces(tmp_path)
 
 
 def test_lost_steps_are_counted_while_recording_and_at_the_end(tmp_path, messages):
-    reports = []
+    reports, said = [], []
 
     def listen(message):
         for status in message.status:
             if status.name.endswith("recorder"):
                 reports.append({item.key: item.value for item in status.values})
+                said.append(status.message)
 
     with Recorder(tmp_path / "run") as recorder, Talker() as talker:
         talker.node.create_subscription(DiagnosticArray, "/diagnostics", listen, 10)
@@ -148,6 +150,9 @@ def test_lost_steps_are_counted_while_recording_and_at_the_end(tmp_path, message
         publishers["/theta"].publish(b"\0\1\0\0" + b"\xff" * 8)  # damaged, of no step
         talker.spin_until(lambda: reports and reports[-1].get("lost /cost") == "3", "a report")
         assert reports[-1]["lost /state"] == "0"
+        talker.spin_until(lambda: "lost" not in said[-1], "a second without a loss")
+        losses = [text for text in said if "lost" in text]
+        assert sum(int(re.fullmatch(r"lost (\d) on /cost", text)[1]) for text in losses) == 3
         assert int(reports[-1]["messages"]) >= 29 + 16
         recorder.wait_for("/theta", 17)
         recorder.stop()

@@ -42,6 +42,10 @@ QUIET = 0.2  # [s] without a message after which a stopped run has published eve
 PATIENCE = 1.0  # [s] and no longer than this
 
 
+def _spell(lost: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} on {name}" for name, count in lost.items() if count)
+
+
 class RecorderRun(Run):
     """A recording, from its empty bag to its end."""
 
@@ -52,6 +56,7 @@ class RecorderRun(Run):
         self._watched: dict[str, Any] = {}  # subscriptions, by node
         self._topics: dict[str, RecordedTopic] = {}
         self._problem = self._scarce = ""
+        self._told: dict[str, int] = {}  # lost messages that were reported, by topic
         self._recording = self._paused = False
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
@@ -116,9 +121,10 @@ class RecorderRun(Run):
             "file": str(self._writer.path),
             **{f"lost {name}": count for name, count in lost.items()},
         }
-        total = sum(lost.values())
+        losses = _spell({name: count - self._told.get(name, 0) for name, count in lost.items()})
+        self._told = lost
         problems = [self._scarce, ALARMS_FULL if self._writer.alarms_full else ""]
-        problems.append(f"{total} messages lost" if total else "")
+        problems.append(f"lost {losses}" if losses else "")
         problems += [t.foreign or t.silence() for t in self._topics.values()]
         problem = "; ".join(filter(None, problems))
         return (WARN, problem, values) if problem else (OK, "recording", values)
@@ -270,10 +276,9 @@ class RecorderRun(Run):
         except BagWriteError as error:
             self._fail(str(error))
             return
-        losses = ", ".join(f"{count} on {name}" for name, count in lost.items() if count)
         self._node.get_logger().info(
             f"{self.samples()} messages, {writer.bytes_written} bytes in {writer.folder}; "
-            f"lost messages: {losses or 'none'}"
+            f"lost messages: {_spell(lost) or 'none'}"
         )
         self._report_ends()
 
