@@ -38,6 +38,19 @@ def test_what_refuses_a_rearm_now_is_said_first_and_at_once(capsys):
     assert "tripped" in capsys.readouterr().out
 
 
+def test_a_warning_that_comes_and_goes_is_not_said_each_time(capsys):
+    """Failed before: a line a second for a sensor that now and then leaves out some samples."""
+    status, lines = StatusLine([]), []
+    for second in range(60):
+        level = "ERROR: silent" if second >= 50 else "WARN: 3 missed"
+        findings = {"relay_esc": f"relay_esc {level}"} if second % 2 else {}
+        status.show(Progress(values={"relay_esc": {}}, findings=findings))
+        status._time -= 1.1  # a second later
+        lines += capsys.readouterr().out.splitlines()
+    assert len(lines) <= 8
+    assert sum("relay_esc ERROR" in line for line in lines) >= 1
+
+
 def test_a_loop_without_a_guard_is_not_rearmed(tmp_path, capsys):
     answer = {"healthy": True, "text": "", "places": [str(tmp_path)], "guarded": False}
     over = threading.Event()

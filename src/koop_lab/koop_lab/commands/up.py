@@ -26,6 +26,7 @@ from koop_lab.recorded.report import describe, read
 from koop_tune.folder import find_controller
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
+LASTING = 60.0  # [s] for which a level that a node had is not new
 
 
 def register(commands: Any) -> None:
@@ -144,23 +145,26 @@ def read_options(args: argparse.Namespace) -> tuple[Plan, Path]:
 
 
 class StatusLine:
-    """Prints where the run is: when a node's level changes, and every now and then."""
+    """Prints where the run is: when a node gets a level that it lacked, and every now and then."""
 
     def __init__(self, nodes: Sequence[str]) -> None:
         self._nodes = nodes
         self._said: object = None
+        self._seen: dict[str, float] = {}  # when a node was last said to have a level [s]
         self._time = -math.inf
 
     def show(self, progress: Progress) -> None:
         """Print a line if it is time."""
         now = time.monotonic()
-        levels = {node: text.partition(":")[0] for node, text in progress.findings.items()}
+        levels = [text.partition(":")[0] for text in progress.findings.values()]
         silent = [node for node in self._nodes if node not in progress.heard]
         refused = progress.values.get("koop_guard", {}).get("rearm_refused", "")
-        news = (bool(progress.values), progress.step > 0, levels, silent, bool(refused))
-        if now < self._time + (STATUS if news == self._said else 1.0):
+        news = (bool(progress.values), progress.step > 0, silent, bool(refused))
+        is_new = any(now > self._seen.get(level, -math.inf) + LASTING for level in levels)
+        if now < self._time + (1.0 if is_new or news != self._said else STATUS):
             return
         self._said, self._time = news, now
+        self._seen |= dict.fromkeys(levels, now)
         findings = list(progress.told.values())
         if silent and progress.values:
             findings.append(f"{', '.join(silent)}: starting, which after an update takes a minute")
