@@ -69,6 +69,16 @@ def test_draws_fill_their_ranges_in_units_of_the_rig():
     assert {c.omega_h for c in drawn} == set(task.surrogates)
 
 
+def test_an_optimum_that_seemed_at_rest_moves_no_further_than_from_the_middle_to_a_limit():
+    """Failed before: a narrow valley was left behind whatever theta did, the rig then refused."""
+    task = make_task(valley, settings=SearchSettings(length=8.0))
+    still = replace(draw(task, 1, 0)[0], law="relay", speed=1e-9)
+    for low, high, most in ((0.0, 1.0, task.settings.drift), (0.615, 0.635, 0.01)):
+        limited = replace(task, low=low, high=high)
+        ways = [np.ptp(try_out(limited, still, 2, seed).u[1:]) for seed in range(20)]
+        assert 0.7 * most < max(ways) <= most
+
+
 def test_no_theta_is_faster_than_the_rig_file_allows():
     slow = make_task(valley, rate=1e-4)
     for c in [*list_anchors(slow), *draw(slow, 64, 0)]:
