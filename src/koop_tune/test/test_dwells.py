@@ -1,5 +1,6 @@
 """Where theta was held in a recording, and the amplitudes and spectra there."""
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -107,6 +108,31 @@ def test_spectra_hold_the_power_of_the_oscillation():
     assert power == pytest.approx(0.5 * (1.0 + actual.u) ** 2 + 0.09, rel=0.05)
     assert actual.frequency[int(np.argmax(actual.power[8, 0]))] == pytest.approx(1.0, abs=step)
     assert actual.sure[0, int(np.argmax(actual.power[8, 0]))]
+
+
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_noise_that_theta_does_not_change_is_sure_as_often_as_chance_has_it(repeats):
+    theta = staircase(np.linspace(0.0, 1.0, 9), 1600, repeats)
+    noise = np.random.default_rng(0).normal(0.0, 0.3, (theta.size, 3))
+    sure = spectra_by_theta(recording(theta, noise), UNIT, DT).sure
+    # as of 300 independent ones: of the parts as many bins are 16 times as wide
+    assert sure.mean() < 0.01 + 4.0 * math.sqrt(0.01 / 150)
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_an_oscillation_that_theta_doubles_is_sure_and_a_weak_line_is_interference(repeats):
+    values, found = np.linspace(0.0, 1.0, 12), []
+    for seed in range(8):
+        theta = np.concatenate(
+            [np.random.default_rng([seed, i]).permutation(values) for i in range(repeats)]
+        ).repeat(1600)
+        x = oscillating(theta, 3.01, lambda theta: 0.2 * (1.0 + np.abs(2.0 * theta - 1.0)), seed)
+        x += 0.05 * np.sin(2.0 * np.pi * 7.03 * np.arange(theta.size) * DT)
+        actual = spectra_by_theta(recording(theta, x[:, None]), UNIT, DT)
+        bins = [int(np.argmin(np.abs(actual.frequency - f))) for f in (3.01, 7.03)]
+        found.append(actual.sure[0, bins])
+    line, weak = np.sum(found, axis=0)
+    assert (line, weak <= 1) == (8, True)  # by chance one in a hundred
 
 
 def test_the_map_of_a_recording_is_that_of_what_reacts():

@@ -47,7 +47,8 @@ class DwellSettings(Settings):
     )
     window: int = parameter(16, "samples of a window of spectra", low=4)
     change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
-    doubt: float = studied(2.0, "standard errors that are subtracted from a change", low=0.0)
+    parts: int = studied(16, "parts of a rest, which show how it changes by itself", low=2)
+    chance: float = studied(0.01, "chance of a change that theta does not make", high=1.0)
 
 
 DWELLS = DwellSettings()

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
+from scipy.signal import spectrogram, welch
+from scipy.stats import f_oneway
 
 from koop_identify.recording.loaded import Loaded
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import DWELLS, find_rests, leave_out_short
+
+TINY = 1e-300  # of a power: it has a logarithm
 
 
 class Spectra(NamedTuple):
@@ -60,14 +62,18 @@ def spectra_by_theta(
     u, rests = leave_out_short(u, rests, DWELLS.part_of_spectra)
     usual = min(rest.end - rest.begin for rest in rests)
     size = min(DWELLS.longest_segment, usual)
-    spectra = np.array(
-        [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b, _ in rests]
-    )
+    short = max(size // DWELLS.parts, 4)
+    xs = [loaded.x[:, rest.begin : rest.end] for rest in rests]
+    spectra = np.array([welch(x, nperseg=size, detrend="linear")[1][:, 2:] for x in xs])
     level = np.array([rest.level for rest in rests])
-    logs = np.log(spectra + 1e-300)
-    means = _means_by(level, logs, u.size)
-    noise = (logs - means[level]).std(axis=0) * math.sqrt(u.size / level.size)
-    sure = means.std(axis=0) - DWELLS.doubt * noise > DWELLS.change
+    change = _means_by(level, np.log(spectra + TINY), u.size).std(axis=0)
+    # one rest tells no error: its parts do, which are coarser
+    parts = [spectrogram(x, 1.0, "hann", short, 0, detrend="linear")[2] + TINY for x in xs]
+    by_level = ([parts[i] for i in np.flatnonzero(level == k)] for k in range(u.size))
+    logs = (np.log(np.concatenate(each, axis=-1)) for each in by_level)
+    nearest = np.rint(np.arange(2, size // 2 + 1) * short / size).astype(int).clip(1, short // 2)
+    chance = f_oneway(*logs, axis=-1).pvalue[:, nearest]
+    sure = (change > DWELLS.change) & (chance < DWELLS.chance)
     return Spectra(size * dt, dt, u, _means_by(level, spectra, u.size), sure)
 
 
