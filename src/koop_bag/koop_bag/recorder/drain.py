@@ -25,7 +25,7 @@ from koop_node.node.memory import Memory, address_of, functions
 
 STEP, HAS_STEP = 5, 6
 """Further columns of the table: the step, of 64 bits without a sign, and whether there is one."""
-AT_ONCE = 2000
+AT_ONCE = 4000
 """Messages taken from one topic before the next one has its turn."""
 ROOM = 1 << 18  # [B] at first
 MOST = 1 << 24  # [B] beyond which the buffer is given up again

@@ -31,7 +31,7 @@ from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 from koop_node.node.received import read_message
 from koop_node.process.housekeeping import release_compiler
 
-POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do not depend on it
+POLL_PERIOD = 0.05  # [s] between fetches of waiting messages; receive times do not depend on it
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
 EARLY_PERIOD, EARLY = 0.05, 5.0  # [s] at first, for a run may be over in less; and how long
 GUARD_STATE = "koop_msgs/msg/GuardState"
