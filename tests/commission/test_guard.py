@@ -357,6 +357,34 @@ def test_a_note_that_cannot_be_written_is_told_before_theta_is_commanded(start, 
     os.close(sealed)
 
 
+CLOCK = """
+import rclpy, time
+from rclpy.parameter import Parameter
+from koop_guard.guard import Cause
+from koop_guard.node.guard_node import GuardNode
+
+rclpy.init()
+node = GuardNode(parameter_overrides=[Parameter("command", value="/knob:data")])
+node.trigger_configure()
+clock, text = time.time, []
+time.time = lambda: clock() + 86400.0
+node.run._guard.note(Cause.ASKED, "it was asked", time.monotonic())
+for _ in range(2):
+    print(node.run.diagnose()[1], flush=True)
+    time.time = lambda: clock() - 86400.0
+"""
+
+
+def test_a_trip_is_dated_by_the_clock_as_it_was_set_by_then():
+    """Failed before: by that of the guard's start, on a machine without a clock of its own."""
+    begin = time.time()
+    done = subprocess.run([sys.executable, "-c", CLOCK], capture_output=True, text=True)
+    told = re.findall("tripped: it was asked, at (.*?); rearm|$", done.stdout)[:2]
+    at = time.mktime(time.strptime(told[0], "%Y-%m-%d %H:%M:%S")) - 86400.0
+    assert begin - 1.0 <= at <= time.time(), done.stderr
+    assert told[1] == told[0]
+
+
 def assert_replays(koop, run):
     """Check that a run is repeated to the last bit, unless the guard has reset the controller.
 

@@ -74,7 +74,7 @@ class GuardRun(Run):
         self._rearming: tuple[Question, bool] | None = None  # of the controller; by hand?
         self._return: Return | None = None
         self._latched: Trip | None = None  # what the guard before this one has left
-        self._epoch = time.time() - time.monotonic()
+        self._dated: tuple[Trip | None, float] = None, 0.0
         self._keeper: Keeper | None = None
         self._state = entities.publisher(GuardState, "~/state", KEPT)
         entities.service(Trigger, "~/trip", self._on_trip)
@@ -107,7 +107,9 @@ class GuardRun(Run):
             if left is not None and left.command == config.command:
                 self._guard.rearmed = left.rearmed
                 if left.trip is not None:
-                    self._latched = replace(left.trip, when=left.trip.when - self._epoch)
+                    ago = time.time() - left.trip.when
+                    self._latched = replace(left.trip, when=time.monotonic() - ago)
+                    self._dated = self._latched, left.trip.when
             self._keeper = Keeper(config.note, self._note)
             topics = [self._node.resolve_topic_name(topic) for topic in self._topics]
             self._order = (asdict(config), topics, kinds, self._ids)
@@ -198,8 +200,14 @@ class GuardRun(Run):
             trip = guard.trip if guard.status is Status.TRIPPED else None
         if trip is not None:
             ended = trip.cause is Cause.ENDED
-            trip = None if ended else replace(trip, when=trip.when + self._epoch)
+            trip = None if ended else replace(trip, when=self._date(trip))
         return Note(guard.theta, config.command, tuple(self._ids), trip, guard.rearmed)
+
+    def _date(self, trip: Trip) -> float:
+        """Return the system time of a trip [s], as the clock was then: it may be set later."""
+        if self._dated[0] is not trip:
+            self._dated = trip, time.time() - time.monotonic() + trip.when
+        return self._dated[1]
 
     def samples(self) -> int:
         return self._states.count
@@ -219,7 +227,7 @@ class GuardRun(Run):
             values |= {"cause": trip.cause.value, "reason": trip.reason, "tripped_x": list(trip.x)}
         if guard.status is Status.TRIPPED and trip is not None:
             refusal = guard.refusal(time.monotonic())
-            then = time.localtime(trip.when + self._epoch)
+            then = time.localtime(self._date(trip))
             when = time.strftime("%Y-%m-%d %H:%M:%S", then)  # it may have been in an earlier run
             why = f"tripped: {trip.reason}, at {when}" + f"; {unknown}" * bool(unknown)
             values["rearm_refused"] = refusal
