@@ -44,19 +44,25 @@ class Search:
     def __init__(
         self, model: KoopmanModel, path: Path, samples: Samples, frequency: float, omega_h: float
     ) -> None:
-        with tempfile.TemporaryFile() as file:
-            np.savez(file, allow_pickle=False, **samples._asdict())
-            file.seek(0)
-            words = [str(path), model.model_id, repr(frequency), repr(omega_h)]
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__, *words],
-                stdin=file,
-                stdout=subprocess.PIPE,
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-            )
+        self._process: subprocess.Popen[bytes] | None = None
+        words = [str(path), model.model_id, repr(frequency), repr(omega_h)]
+        try:
+            with tempfile.TemporaryFile() as file:
+                np.savez(file, allow_pickle=False, **samples._asdict())
+                file.seek(0)
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", __name__, *words],
+                    stdin=file,
+                    stdout=subprocess.PIPE,
+                    env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+                )
+        except OSError as error:  # as on a full disk, which ends no loop
+            self._problem = f"it cannot be looked for: {error}"
 
     def outcome(self) -> Outcome | None:
         """Return what was found; None while it is looked for."""
+        if self._process is None:
+            return Outcome(self._problem)
         if self._process.poll() is None:
             return None
         with self._process:
@@ -66,8 +72,9 @@ class Search:
 
     def close(self) -> None:
         """End it."""
-        with self._process:
-            self._process.kill()
+        if self._process is not None:
+            with self._process:
+                self._process.kill()
 
 
 def find_model(

@@ -1,5 +1,6 @@
 """A model after a change: one channel in which interference moves, with its true amplitude."""
 
+import tempfile
 import time
 
 import numpy as np
@@ -168,3 +169,11 @@ def test_a_search_that_cannot_succeed_says_so_and_one_that_is_ended_is_gone(tmp_
     outcome = wait_for(search)
     assert isinstance(outcome, Outcome)
     assert "too few" in outcome.text
+
+
+def test_a_search_for_which_the_disk_has_no_room_says_so(tmp_path, monkeypatch):
+    """Failed before: the lifter ended, and the loop with it."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "no"))
+    search = Search(before(), tmp_path / "model.npz", samples_of(np.ones((9, 1))), 1.3, OMEGA_H)
+    assert "it cannot be looked for: [Errno 2]" in search.outcome().text
+    search.close()
