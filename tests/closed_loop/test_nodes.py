@@ -522,6 +522,16 @@ def test_the_oscillation_that_is_named_is_watched_and_named_anew_where_it_moves(
     assert get_parameter(probe, "koopman_lifter", "begin") == pytest.approx(1.1, abs=0.05)
 
 
+def test_what_cannot_be_used_for_long_does_not_fill_the_log(start, probe):
+    """Failed before: a line a second, 15 MB a day, while a rig is off and its sensor says NaN."""
+    process = start("koopman_lifter", cost="raw", listeners="probe")
+    lifter = Ask(probe, MeasuredState, "state", Cost, "cost")
+    begin, step = time.monotonic(), 0
+    while time.monotonic() < begin + 2.5:
+        assert math.isnan(lifter(step := step + 1, x=[math.nan]).r)
+    assert process.log.read_text().count("state [nan] is not finite") <= 2  # one of a worse level
+
+
 def test_an_inactive_lifter_is_silent(fresh_lifter, probe):
     lifter = fresh_lifter
     lifter(0, x=[1.0, 1.0])

@@ -455,7 +455,7 @@ class LifterRun(Run):
         else:
             problem = f"state {x.tolist()} is not finite or its y_out too large"
         self._input.reject(f"step {self._answer.step}: {problem}")
-        self._node.get_logger().error(self._input.problem, throttle_duration_sec=1.0)
+        self._node.get_logger().error(self._input.problem, throttle_duration_sec=60.0)
 
     def _compile(self) -> None:
         """Get the kernel for the types that model and messages bring, before the next sample."""

@@ -190,7 +190,7 @@ class Entities:
             try:
                 message = decode(data)
             except WireError as error:
-                logger.error(f"'{topic}': {error}", throttle_duration_sec=1.0)
+                logger.error(f"'{topic}': {error}", throttle_duration_sec=60.0)
                 return
             callback(message, written)
 
