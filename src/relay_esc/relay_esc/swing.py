@@ -32,6 +32,7 @@ from koop_core.kernels import njit
 from koop_core.named_tuple import replace
 
 GOLDEN = 0.6180339887498949
+PAST = 1e6  # of a cost: a filtered change beyond it is of a time when nothing moved
 studied = partial(parameter, origin="koop study laws at commit be69197")
 
 
@@ -134,6 +135,7 @@ def follow(
     first = swing.lowest == math.inf
     level = x if first else alpha_level * swing.level + (1.0 - alpha_level) * x
     rise = alpha * swing.rise + (1.0 - alpha) * (cost - swing.cost) if primed else swing.rise
+    rise = min(max(rise, -PAST * cost), PAST * cost)
     begin, lowest = level if first else swing.begin, min(swing.lowest, level)
     return replace(swing, level=level, begin=begin, lowest=lowest, cost=cost, rise=rise)
 

@@ -137,6 +137,19 @@ def test_maximising_is_minimising_the_inverse():
     np.testing.assert_allclose(high, low, rtol=0.0, atol=1e-12)
 
 
+def test_a_rig_that_stood_still_is_maximised_again_at_once():
+    """Failed before: its cost had died away, and theta rested for 700 times tau_f."""
+    esc = config(objective="maximise")
+    p, state, theta, rng = esc.params(DT), esc.initial(), [], np.random.default_rng(0)
+    for k in range(9000):
+        stands, error = 3000 <= k < 5400, state.output + 3.0
+        noise = math.exp(0.05 * rng.normal())
+        r = 10.0 ** -(0.125 * (k - 3000)) if stands else noise / (1.0 + 4.0 * error**2)
+        state, _, _ = relay.answer(p, state, int(Arrival.NEXT), False, False, r, False)
+        theta.append(state.output)
+    assert np.abs(np.array(theta[7500:]) + 3.0).mean() < 0.3
+
+
 def arrived(esc=None):
     """Return a state that has arrived, with a narrow swing."""
     esc = esc or config()
