@@ -118,7 +118,10 @@ def closed(rig, esc, steps=20_000, drift=0.0, start=0.0):
     detector = LifterConfig(omega_h=10.0, omega_l=0.7, dt=DT).detector_params()
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     draws = np.random.default_rng(1).random(1021)
-    run(rig, detector, esc.params(DT), esc.initial(), steps, drift, start, draws, u, power)
+    run(
+        rig, detector, esc.params(DT), esc.initial(), steps, drift, start, draws, u, power,
+        esc.barrier(DT), 0.0,
+    )  # fmt: skip
     return u, power
 
 

@@ -166,6 +166,18 @@ def test_a_motion_that_was_seen_goes_on_in_every_run(fine):
     assert run.u == pytest.approx(np.linspace(1.0, 0.8, run.u.size), abs=0.01)
 
 
+@pytest.mark.parametrize("fine", [True, False])
+def test_a_loop_rests_at_the_bound_of_a_constraint_as_on_the_rig(fine):
+    """Failed before: it swung in from there again and again, and was predicted to be undamped."""
+    free = make_task(lambda u: 3.0 * (1.0 - u), settings=SearchSettings(drift=0.0))
+    bounded = replace(free, slope=-0.5, edge=1.02)
+    quick = [c for c in list_anchors(free) if c.speed > 0.03]
+    for c in quick:
+        assert max(try_out(bounded, c, n, 0, fine).excess for n in range(4)) < 1.11
+        assert max(try_out(free, c, n, 0, fine).excess for n in range(4)) > 1.15
+    assert len({c.law for c in quick}) == 2
+
+
 def test_a_coarse_run_comes_to_what_a_fine_one_does():
     task = make_task(valley, noise=0.05)
     best = search(task, 0.125, 0)[0]

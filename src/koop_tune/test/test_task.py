@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from surrogate_rigs import DT, make_cost, make_dwells, make_findings, make_map
 
 from koop_identify.recording.loaded import Loaded
+from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Rest
 from koop_tune.rig_model.surrogate import Times
@@ -90,3 +91,7 @@ def test_a_task_holds_every_usable_corner_frequency_sample_by_sample_and_in_bloc
     power = np.mean([high[r.begin + 2 * length : r.end].var() for r in rests])
     assert (coarse.y**2).mean() == pytest.approx(power, rel=0.02)
     assert (task.low, task.high, task.rate) == (0.0, 1.0, 0.5)
+    assert (task.slope, task.edge) == (0.0, 0.0)
+    safe = SafeRange((0.0, 0.5, 0.8), (0.6, 0.4, 0.1), 0.0, 0.8, False, True)
+    task = make_task(loaded, replace(findings, safe=safe), cost, TIMES, 5.0, RIG, settings)
+    assert (task.slope, task.edge) == pytest.approx((-1.0, 0.9))

@@ -35,7 +35,8 @@ from koop_tune.rig_model.dwells import Dwells
 from koop_tune.rig_model.fluctuation import FLUCTUATION, fit_fluctuation
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams
-from relay_esc import relay
+from relay_esc import barrier
+from relay_esc.barrier import BarrierParams
 from relay_esc.relay import RelayParams, RelayState
 
 PLACES = 16  # that are looked at for one where y_out is about the same
@@ -236,6 +237,8 @@ def run(
     draws: NDArray[np.float64],
     u: NDArray[np.float64],
     power: NDArray[np.float64],
+    bound: BarrierParams,
+    edge: float,
 ) -> None:
     """Close the loop for some steps, from a rig that has settled.
 
@@ -257,7 +260,10 @@ def run(
     u, power : ndarray, shape (BLOCKS,)
         Receive the mean of theta's position from the optimum's motion, and the mean square of the
         amplitude, of each block.
+    bound, edge : BarrierParams, float
+        Barrier of a constraint, and where its margin is 0 [the controller's u].
     """
+    margins = barrier.UNKNOWN
     cost_state = cost.initial()
     position = _position(s, state.output)
     level, a = _at(s.levels, start), _at(s.amplitudes, start)
@@ -275,7 +281,10 @@ def run(
         r, cost_state = cost.follow(
             detector, cost_state, arrival, cost_state.y_previous + y if s.coarse else y
         )
-        state, _, _ = relay.answer(params, state, arrival, False, cost_state.settling > 0, r, False)
+        state, margins, _, _ = barrier.answer(
+            params, bound, state, margins, arrival, False, cost_state.settling > 0, r, False,
+            bound.slope * (state.commanded - edge),
+        )  # fmt: skip
         position = _position(s, state.output)
         moved = position - drift * k
         aim = _at(s.levels, moved)

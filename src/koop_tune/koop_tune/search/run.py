@@ -70,6 +70,8 @@ class Task:
         Of the optimum's motion [ranges/s].
     widest : tuple of float
         Least and largest theta to which the limits open where the optimum is lost; empty: none.
+    slope, edge : float
+        Change of a constraint's margin over the controller's u, and where it is 0; 0: none.
     """
 
     surrogates: dict[float, list[Surrogate]]
@@ -84,6 +86,8 @@ class Task:
     settings: SearchSettings = SEARCH
     speed: float = 0.0
     widest: tuple[float, ...] = ()
+    slope: float = 0.0
+    edge: float = 0.0
 
     @property
     def steps(self) -> int:
@@ -142,6 +146,7 @@ def make_esc(task: Task, c: Constants, theta: float) -> EscConfig:
         rate_limit=rate,
         objective="minimise" if task.sense > 0.0 else "maximise",
         theta_initial=theta,
+        margin_slope=task.slope,
     )
 
 
@@ -191,6 +196,8 @@ def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True)
         rng.random(1021),
         u,
         power,
+        esc.barrier(s.dt),
+        task.edge,
     )
     return judge_run(task, s, u, power, steps * s.dt)
 

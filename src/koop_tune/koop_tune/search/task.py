@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,10 +39,15 @@ def make_task(
             s._replace(y=np.concatenate(blocks), begins=ends, dt=every * rig.dt, coarse=True)
             for s in fine[omega_h]
         ]
-    limits = findings.limits
+    limits, safe = findings.limits, findings.safe
+    slope = edge = 0.0
+    if safe is not None and not safe.fixed and (slope := safe.slope(rig.scale)):
+        limit = safe.high if safe.bound_high else safe.low
+        edge = math.log(limit) if rig.scale.logarithmic else limit
+        edge -= safe.margin_at(limit) / slope
     return Task(
         fine, coarse, rig.scale, rig.sense, time, rig.dt, rig.theta_rate, limits.low, limits.high,
-        settings.search, findings.speed, limits.widest,
+        settings.search, findings.speed, limits.widest, slope, edge,
     )  # fmt: skip
 
 
