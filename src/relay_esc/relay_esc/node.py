@@ -121,7 +121,7 @@ class EscRun(Run):
         finding, swing = self._level.finding(), self._state.swing
         if not finding and (opened := max(swing.below, swing.beyond)):
             unit = "Np" if self._params.logarithmic else "theta"
-            finding = f"the optimum has left theta's limits: they are open by {opened:.3g} [{unit}]"
+            finding = f"the best may be beyond theta's limits: open by {opened:.3g} [{unit}]"
         return (WARN, finding, values) if finding else (OK, "seeking", values)
 
     def _on_cost(self, cost: Any, written: float) -> None:
