@@ -1,5 +1,6 @@
 """The user's program that runs at a trip."""
 
+import os
 import tempfile
 import time
 
@@ -32,3 +33,18 @@ def test_a_program_that_is_not_there_is_told():
     Alarm(GuardConfig("/a:x", "/b:z", on_alarm="/no/program"), reports.append).start(TRIP, "guard")
     (report,) = reports
     assert "on_alarm = '/no/program' was not started" in report
+
+
+def test_a_program_that_says_much_takes_no_memory():
+    """Failed before: one that printed in a loop took all of the machine's in its minute."""
+    program, reports = "sh -c 'yes | head -c 50000000; echo the end >&2; exit 3'", []
+    alarm = Alarm(GuardConfig("/a:x", "/b:z", on_alarm=program), reports.append)
+    alarm.start(TRIP, "/koop_guard")
+    ((process, _, said),) = alarm._running
+    deadline, sizes = time.monotonic() + 60.0, []
+    while process.poll() is None and time.monotonic() < deadline:
+        alarm.check()
+        sizes += [] if said.closed else [os.fstat(said.fileno()).st_size]
+    assert sizes[-1] < 10_000_000
+    alarm.check()
+    assert reports[0].endswith(": the end")

@@ -15,6 +15,7 @@ from koop_guard.guard import Trip
 from koop_guard.node.memory_file import open_memory_file
 from koop_node.process.lifeline import VARIABLE
 
+MOST = 1_000_000  # [B] that a program says, beyond which it is forgotten: it is in memory
 OF_US = (VARIABLE, "NOTIFY_SOCKET")  # in the environment, not for others
 
 
@@ -64,6 +65,9 @@ class Alarm:
             process, since, said = running
             seconds = time.monotonic() - since
             if process.poll() is None:
+                if os.fstat(said.fileno()).st_size > MOST:  # both write from the same place
+                    said.seek(0)
+                    said.truncate()
                 if seconds < SAFETY.alarm:
                     continue
                 process.kill()
