@@ -45,7 +45,7 @@ from koopman_lifter.contrast import (
 from koopman_lifter.delays import units
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
-from koopman_lifter.settings import CANDIDATE
+from koopman_lifter.settings import CANDIDATE, COST
 
 TINY = float(np.finfo(float).tiny)
 SPARE = 1.25  # samples over those of the fewest windows: a gap takes one or two
@@ -198,14 +198,32 @@ def learn_candidate(
 
 
 def cut(samples: Samples, length: int) -> NDArray[np.float64]:
-    """Return consecutive samples as windows, shape (T, channels, length); none spans a gap."""
+    """Return consecutive samples as windows, shape (T, channels, length); none spans a gap.
+
+    One or two lost samples are interpolated, as the cost does it.
+    """
     count = int(samples.cursor[0])
     steps, states = samples.steps[:count], samples.states[:count]
-    pieces = np.split(states, np.flatnonzero(np.diff(steps) != 1) + 1)
-    whole = [piece[: len(piece) // length * length] for piece in pieces]
+    lost = np.diff(steps) - 1
+    ends = np.flatnonzero((lost < 0) | (lost > COST.bridged)) + 1
+    whole = [
+        _bridge(*piece, length)
+        for piece in zip(np.split(steps, ends), np.split(states, ends), strict=True)
+    ]
     return np.ascontiguousarray(
         np.concatenate(whole).reshape(-1, length, states.shape[1]).swapaxes(1, 2)
     )
+
+
+def _bridge(
+    steps: NDArray[np.int64], states: NDArray[np.float64], length: int
+) -> NDArray[np.float64]:
+    """Return the states of all steps from the first on, those of whole windows."""
+    known = steps - steps[:1]
+    count = (int(known.max(initial=-1)) + 1) // length * length
+    if not count:
+        return states[:0]
+    return np.stack([np.interp(np.arange(count), known, column) for column in states.T], axis=1)
 
 
 def amplitudes(windows: NDArray[np.float64], frequency: float) -> NDArray[np.float64]:
