@@ -7,8 +7,9 @@ What the relay asks for is changed as little as a margin h asks for, of which th
 h' is the margin's slope over u, as an excitation has shown it; mean and dev are of the margin over
 the last half dwell time and eight dwell times, dev is the mean absolute deviation. Inside the bound
 the relay is free, at it u stops, beyond it u goes back. While the barrier holds u back the relay
-does not turn away but goes on to the bound, unless the cost's level shows that it rises there: each
-swing inwards would cost, and tell nothing that is not known. Without a margin (NaN) theta is held.
+does not turn away but goes on to the bound, unless the cost's level is worse than where the leg
+began: each swing inwards would cost, and tell nothing that is not known. Without a margin (NaN)
+theta is held.
 
 The published law descends the cost's estimated gradient and projects it with the estimated gradient
 of the margin (arXiv 2309.15401, 2404.08842); here the relay takes the place of the descent.
@@ -26,7 +27,7 @@ from koop_core.kernels import njit
 from koop_core.named_tuple import replace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
-from relay_esc.swing import falls, gain
+from relay_esc.swing import gain
 
 studied = partial(parameter, low=0.1, origin="random rigs with a constraint, commit 17fad32")
 
@@ -107,7 +108,8 @@ def answer(
     most = max(low / (q.dwell_samples * abs(q.slope)), -p.step_size)  # towards the bound
     out = -1.0 if q.slope > 0.0 else 1.0
     step = p.step_size * gain(before.swing, before.u, before.epsilon)
-    stays = before.epsilon == -out and most < step and falls(before.swing)
+    rises = before.swing.level > before.swing.begin  # the cost is worse than where the leg began
+    stays = before.epsilon == -out and most < step and not rises
     if stays and state.epsilon != before.epsilon:  # the relay would turn away
         u = before.u + out * most
         state = relay.take(p, before, r)

@@ -37,7 +37,7 @@ from koop_core.named_tuple import replace
 from relay_esc import relay
 from relay_esc.elementary import exp
 from relay_esc.relay import MEMORY, RelayParams, RelayState, initial, slew
-from relay_esc.swing import SWING, Swing, falls
+from relay_esc.swing import SWING, Swing
 
 judged = partial(parameter, origin="koop study knobs")
 
@@ -253,6 +253,13 @@ def travel(k: Knobs, state: DirectionState) -> int:
             ratio = abs(state.output[i] - state.base[i]) / k.largest_change[i]
             samples = max(samples, math.ceil(ratio - 1e-9))
     return samples
+
+
+@njit()
+def falls(swing: Swing) -> bool:
+    """Return whether the leg's level is nearer to its least than where it began; one of none is."""
+    fallen = swing.begin - swing.lowest
+    return swing.lowest == math.inf or swing.level - swing.lowest <= 0.5 * fallen
 
 
 @njit()

@@ -235,13 +235,6 @@ def open_limits(swing: Swing, below: float, beyond: float) -> Swing:
 
 
 @njit()
-def falls(swing: Swing) -> bool:
-    """Return whether the leg's level is nearer to its least than where it began; one of none is."""
-    fallen = swing.begin - swing.lowest
-    return swing.lowest == math.inf or swing.level - swing.lowest <= 0.5 * fallen
-
-
-@njit()
 def confidence(swing: Swing) -> float:
     """Return the confidence that the optimum is within the swing: 1 at the reference, 0 if lost."""
     if swing.legs < 2:
