@@ -76,17 +76,15 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
 
 
 def announced(folder):
-    """Return node and name of the parameters that came before the first state, as mcap reads it."""
-    actual = set()
+    """Return node and name of the parameters published before state 1, as mcap reads them."""
+    published = {"/state": [], "/parameter_events": []}
     with open(folder / "bag" / "bag_0.mcap", "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        topics = ["/state", "/parameter_events"]
-        for _, channel, _, event in reader.iter_decoded_messages(topics):
-            if channel.topic == "/state" and event.step > 0:
-                break
-            if channel.topic == "/parameter_events":
-                actual |= {(event.node, item.name) for item in event.new_parameters}
-    return actual
+        for _, channel, record, message in reader.iter_decoded_messages([*published]):
+            published[channel.topic].append((record.publish_time, message))
+    begin = min(at for at, state in published["/state"] if state.step > 0)
+    events = [event for at, event in published["/parameter_events"] if at < begin]
+    return {(event.node, item.name) for event in events for item in event.new_parameters}
 
 
 def begun(folder):
