@@ -21,7 +21,7 @@ from koop_bag.bag.losses import LossCounter
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
 from koop_bag.recorder.drain import AT_ONCE, HAS_STEP, MOST, ROOM, STEP, Drain, Rows
 from koop_bag.recorder.topics import RecordedTopic, fetch, skip, subscribe, watch
-from koop_core.journal import PATH, Journal, Topic, append, make_journal
+from koop_core.journal import PATH, Journal, Topic, append, journal_of_process, make_journal
 from koop_core.journal import ROOM as ROOM_OF_JOURNAL
 from koop_node.node.managed import message_type
 
@@ -350,3 +350,21 @@ def test_what_a_killed_writer_has_written_is_read(messages):
     assert [row[3] for row in Batch(rows.table, drain.data).rows()] == [
         b"%04d" % n for n in range(1000)
     ]
+
+
+def test_a_journal_without_a_reader_keeps_nobody_waiting_one_that_is_gone_is_none(
+    journal, messages, monkeypatch
+):
+    place = journal.place(Topic("/state", "pkg/msg/Any", "/node"))
+    while write(place, messages.loop("/state", 1)):
+        pass
+    assert journal.read_within(0.0)
+    journal.follow(0, "recorder")
+    assert journal.readers() == {"/state": "recorder"}
+    assert not journal.read_within(0.0)
+    drain = Drain(journal)
+    while len(drain.take([0])[0].table):
+        pass
+    assert journal.read_within(0.0)
+    monkeypatch.setenv(PATH, "/proc/self/fd/99999")
+    assert journal_of_process() is None

@@ -127,9 +127,10 @@ class Journal:
         self.words.view(np.uint8)[begin : begin + len(data)] = data
 
     def read_within(self, patience: float) -> bool:
-        """Return whether the reader leaves half of the room, or does within a time [s]."""
+        """Return whether a reader leaves half of the room, or does within a time [s]."""
         deadline = time.monotonic() + patience
-        while self.words[WRITTEN] - self.words[READ] > ROOM // 2:
+        followed = self.words[FOLLOWED:_NAMES].any()
+        while followed and self.words[WRITTEN] - self.words[READ] > ROOM // 2:
             if time.monotonic() > deadline:
                 return False
             time.sleep(0.001)
@@ -137,14 +138,17 @@ class Journal:
 
 
 def journal_of_process() -> Journal | None:
-    """Return the journal of this process, if it has one."""
+    """Return the journal of this process, if it has one that it may open."""
     path = os.environ.get(PATH)
     return _open(path) if path else None
 
 
 @cache
-def _open(path: str) -> Journal:
-    return Journal(path)
+def _open(path: str) -> Journal | None:
+    try:
+        return Journal(path)
+    except OSError:  # who made it has ended, or has capabilities: nobody may open what it has
+        return None
 
 
 def make_journal() -> tuple[int, dict[str, str]]:

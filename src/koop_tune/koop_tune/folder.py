@@ -24,6 +24,7 @@ def find_controller(path: Path) -> tuple[Path, str]:
     for file in (path / CONTROLLER, path / TUNED / CONTROLLER):
         if file.is_file():
             return file, path.resolve().name
-    raise ConfigError(
-        f"{path}: has no {CONTROLLER} and no {TUNED}/{CONTROLLER}: run 'koop tune' first"
-    )
+    remedy = "run 'koop tune' first"
+    if (path / TUNED / FIGURES).is_file():
+        remedy = f"koop tune made none, and says why in {TUNED}/{FIGURES}"
+    raise ConfigError(f"{path}: has no {CONTROLLER} and no {TUNED}/{CONTROLLER}: {remedy}")

@@ -421,8 +421,11 @@ def test_the_last_round_is_kept_if_it_damped_else_the_best_one():
 
 def test_a_folder_without_a_controller_is_refused(tmp_path):
     assert tune_result.read(tmp_path) == TuneResult()
-    for result in (TuneResult(), TuneResult("flat", "nothing reacts", FIT)):
-        with pytest.raises(ConfigError, match="run 'koop tune' first"):
+    for result, text in (
+        (TuneResult(), "run 'koop tune' first"),
+        (TuneResult("flat", "nothing reacts", FIT), "made no controller, flat: nothing reacts"),
+    ):
+        with pytest.raises(ConfigError, match=text):
             result.make_aim(RIG)
 
 

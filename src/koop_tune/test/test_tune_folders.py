@@ -13,7 +13,7 @@ from koop_core.config.parameter import ConfigError
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Windows
 from koop_tune.excitation.design import KNOWN, TIME
-from koop_tune.folder import CONTROLLER, TUNED, find_controller
+from koop_tune.folder import CONTROLLER, FIGURES, TUNED, find_controller
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.tune_folders import find_bags, load_since, reading_of, tune_folders
 
@@ -137,6 +137,9 @@ def test_a_controller_is_found_by_its_file_or_a_folder_above_it(tmp_path):
     assert find_controller(file.parent)[0] == file
     with pytest.raises(ConfigError, match="run 'koop tune' first"):
         find_controller(tmp_path)
+    file.rename(file.with_name(FIGURES))  # as after a refusal
+    with pytest.raises(ConfigError, match="made none, and says why in tuned"):
+        find_controller(tmp_path / "rig")
 
 
 def test_an_excitation_of_several_knobs_is_read_as_it_was_written(tmp_path):

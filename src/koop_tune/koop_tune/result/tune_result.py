@@ -199,6 +199,8 @@ class TuneResult:
         koop_core.config.parameter.ConfigError
             If there is none.
         """
+        if self.is_refused:
+            raise ConfigError(f"koop tune made no controller, {self.verdict}: {self.why}")
         if self.static_map is None or self.controller is None:
             raise ConfigError("no controller was tuned: run 'koop tune' first")
         return self.static_map, self.controller
