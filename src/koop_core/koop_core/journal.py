@@ -8,7 +8,6 @@ written the other reads also after its end.
 
 from __future__ import annotations
 
-import ctypes
 import mmap
 import os
 import time
@@ -18,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.foreign import call
+from koop_core.foreign import call, libc
 from koop_core.kernels import njit
 
 PATH = "KOOP_JOURNAL"
@@ -97,12 +96,7 @@ class Journal:
             return NOWHERE
         self._write(number, entry)
         self.words[COUNT] = max(number + 1, self.words[COUNT])
-        libc = ctypes.CDLL(None)
-        clock, copy = (
-            ctypes.cast(function, ctypes.c_void_p).value or 0
-            for function in (libc.clock_gettime, libc.memcpy)
-        )
-        return Place(self.words, number, clock, copy)
+        return Place(self.words, number, libc("clock_gettime"), libc("memcpy"))
 
     def topics(self) -> list[Topic]:
         """Return the topics, by number."""

@@ -6,7 +6,6 @@ not; only the step is looked for, where a message of the loop has it.
 
 from __future__ import annotations
 
-import ctypes
 import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,12 +15,12 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.losses import LossCounter
 from koop_bag.mcap.chunk import BEGIN, CHANNEL, LOG_TIME, PUBLISH_TIME, SIZE
-from koop_core.foreign import call
+from koop_core.foreign import call, libc
 from koop_core.journal import FIRST, HEAD, READ, TOPICS, WRITTEN, Journal
 from koop_core.journal import ROOM as JOURNAL_ROOM
 from koop_core.kernels import direct, njit
 from koop_core.port import take
-from koop_node.node.memory import Memory, address_of, functions
+from koop_node.node.memory import Memory, functions
 
 STEP, HAS_STEP = 5, 6
 """Further columns of the table: the step, of 64 bits without a sign, and whether there is one."""
@@ -181,7 +180,7 @@ class Drain:
     def __init__(self, journal: Journal | None = None) -> None:
         self._journal = journal
         self._memory = Memory()
-        copy = address_of(ctypes.CDLL(None).memcpy)
+        copy = libc("memcpy")
         self._functions = functions()[1], copy
         self._taken = _Taken(
             NONE,

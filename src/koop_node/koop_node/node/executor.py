@@ -29,8 +29,8 @@ from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
+from koop_core.foreign import libc
 from koop_core.wakeup import Wakeup
-from koop_node.node.memory import address_of
 
 RCLError = rclpy_implementation.RCLError
 AT_ONCE = 50  # messages of one entity before others have their turn
@@ -103,7 +103,7 @@ class Executor:
             self._follow()
         descriptors = [self._descriptors[each] for each in subscriptions]
         return Wakeup(
-            _libc("clock_gettime"), _libc("epoll_wait"), _libc("read"), self._epoll.fileno(),
+            libc("clock_gettime"), libc("epoll_wait"), libc("read"), self._epoll.fileno(),
             np.array(descriptors, np.int64), until, np.zeros(4, np.int64),
         )  # fmt: skip
 
@@ -135,7 +135,7 @@ class Executor:
             descriptor, take = self._descriptors[owner], make(entity)
             self._entities[entity] = descriptor, take
             self._takers[descriptor].append(take)
-            _notify(entity, _libc("eventfd_write"), descriptor)
+            _notify(entity, libc("eventfd_write"), descriptor)
 
     def _find(self) -> Iterator[tuple[Any, Any, Callable[[Any], Take]]]:
         """Yield each entity with whose descriptor it shares, and what makes its take."""
@@ -214,12 +214,6 @@ def _setters() -> dict[type, Any]:
     for function in setters.values():
         function.argtypes = [ctypes.c_void_p] * 3
     return setters
-
-
-@cache
-def _libc(name: str) -> int:
-    """Return the address of a function of libc."""
-    return address_of(getattr(ctypes.CDLL(None), name))
 
 
 def _notify(entity: Any, function: Any, descriptor: int | None) -> None:

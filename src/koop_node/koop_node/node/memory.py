@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
+from koop_core.foreign import address_of
 from koop_core.journal import NOWHERE, Place
 from koop_core.port import Port
 from koop_node.node.wire import Places
@@ -98,8 +99,3 @@ def functions() -> tuple[int, int]:
     return (
         address_of(rcl.rcl_publish_serialized_message), address_of(rcl.rcl_take_serialized_message)
     )  # fmt: skip
-
-
-def address_of(function: Any) -> int:
-    """Return where a function of a library is."""
-    return ctypes.cast(function, ctypes.c_void_p).value or 0
