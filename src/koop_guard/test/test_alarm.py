@@ -35,16 +35,22 @@ def test_a_program_that_is_not_there_is_told():
     assert "on_alarm = '/no/program' was not started" in report
 
 
-def test_a_program_that_says_much_takes_no_memory():
+def test_a_program_that_says_much_takes_no_memory(tmp_path):
     """Failed before: one that printed in a loop took all of the machine's in its minute."""
-    program, reports = "sh -c 'yes | head -c 50000000; echo the end >&2; exit 3'", []
+    seen = tmp_path / "seen"
+    wait = f"while [ ! -e {seen} ]; do sleep 0.01; done"
+    program = f"sh -c 'yes | head -c 50000000; {wait}; echo the end >&2; exit 3'"
+    reports = []
     alarm = Alarm(GuardConfig("/a:x", "/b:z", on_alarm=program), reports.append)
     alarm.start(TRIP, "/koop_guard")
     ((process, _, said),) = alarm._running
-    deadline, sizes = time.monotonic() + 60.0, []
-    while process.poll() is None and time.monotonic() < deadline:
-        alarm.check()
-        sizes += [] if said.closed else [os.fstat(said.fileno()).st_size]
-    assert sizes[-1] < 10_000_000
+    deadline = time.monotonic() + 60.0
+    while os.fstat(said.fileno()).st_size < 50_000_000:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    alarm.check()
+    assert os.fstat(said.fileno()).st_size < 10_000_000
+    seen.touch()
+    assert process.wait(60.0) == 3
     alarm.check()
     assert reports[0].endswith(": the end")
