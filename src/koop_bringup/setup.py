@@ -21,5 +21,5 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="What starts the nodes: launch file, plan, running loops; viewer layouts.",
     license="Apache-2.0",
-    entry_points={"koop_stages": ["lockstep = koop_bringup.lockstep:find"]},
+    entry_points={"koop_stages": ["composed = koop_bringup.composed:find"]},
 )

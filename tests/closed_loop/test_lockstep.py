@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
 from koop_bringup.live.loop import LiveLoop
 from koop_core.errors import LiveError
 from koop_identify.recording.loop import LoopRecord, read_loop
@@ -25,6 +27,7 @@ from koop_study.simulation.case import Case
 from koop_study.simulation.run import run as run_case
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.delays import Delays
+from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 
 pytestmark = pytest.mark.ros
@@ -118,6 +121,45 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
     assert int(told[2]) < int(told[1]) == lockstep.steps
     wanted = os.environ.get("KOOP_COMPILED") != "0"
     assert (int(told[2]) > 0.1 * lockstep.steps) == wanted
+
+
+@pytest.mark.parametrize(("composed", "pace"), [(True, "scaled"), (False, "realtime")])
+def test_at_the_pace_of_a_timer_the_answers_replay_and_the_plant_integrates(
+    module_domain, tmp_path, capfd, composed, pace
+):
+    timed = {"pace": pace, "time_scale": 2.0, "seed": 5, "duration": 8.0}
+    parameters = make({"vdp_plant": timed, "koopman_lifter": {"cost": "raw"}})
+    with LiveLoop(tmp_path, parameters, composed=composed) as loop:
+        loop.run(lambda progress: None)
+    with BagReader(tmp_path / "bag") as bag:
+        truth = read_columns(bag, "/ground_truth", ["step", "x", "theta_applied", "theta_step"])
+        state = read_columns(bag, "/state", ["step", "header.stamp"])
+        theta = read_columns(bag, "/theta", ["step", "theta"])
+    params, x = parameters.plant.params(), truth["x"]
+    assert (truth["step"] == np.arange(1600)).all()
+    assert (state["step"] == truth["step"]).all()
+    for k in range(1599):
+        after = dynamics.step.py_func(params, k, *x[k], truth["theta_applied"][k + 1][0])
+        np.testing.assert_allclose(x[k + 1], after, rtol=1e-12)
+    answered = truth["theta_step"][1:]  # the newest that had come acts
+    assert (np.diff(answered) >= 0).all()
+    assert (answered < truth["step"][1:]).all()
+    given = dict(zip(theta["step"].tolist(), theta["theta"][:, 0].tolist(), strict=True))
+    acted = [given.get(step, 2.0) for step in answered.tolist()]
+    np.testing.assert_array_equal(truth["theta_applied"][1:, 0], acted)
+    assert len(set(acted)) > 100  # the controller did act
+    if pace == "realtime":  # else stamps are the plant's time
+        period = np.median(np.diff(state["header.stamp"]))
+        assert period == pytest.approx(5e6, rel=0.2)
+    else:
+        assert (state["header.stamp"] == np.arange(1600) * 5_000_000).all()
+    told = re.search(
+        r"done: 1600 steps, (\d+) of them compiled",
+        "".join(log.read_text() for log in (tmp_path / "logs").iterdir()),
+    )
+    assert (int(told[1]) > 160) == (os.environ.get("KOOP_COMPILED") != "0")
+    assert main(["replay", str(tmp_path)]) == 0
+    assert "theta  identical bit for bit" in capfd.readouterr().out
 
 
 def test_two_knobs_over_dds_offline_and_in_replay_are_equal_to_the_last_bit(

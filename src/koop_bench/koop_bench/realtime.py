@@ -19,7 +19,7 @@ from koop_bench.figures import BenchFigure, BenchSettings, processors
 from koop_bench.fleet_report import FleetReport
 from koop_core.stream.durations import Durations
 from koop_node.process.realtime import apply_priority
-from vdp_plant.pacing import Ticks
+from vdp_plant.pacing import tick
 
 DURATION = 60.0  # [s]
 RATES = (200.0, 500.0, 1000.0)  # [Hz]
@@ -72,15 +72,13 @@ def _wake(rate: float, duration: float) -> tuple[Durations, int, list[str]]:
     problems = apply_priority(PRIORITY)
     gc.disable()
     period = 1.0 / rate
-    ticks, behind, late, done = Ticks(period), Durations(), 0, 0
-    begin = time.monotonic()
-    ticks.start(begin)
+    behind, late, done, due = Durations(), 0, 0, time.monotonic() + period
     while done + late < round(rate * duration):
-        due = begin + (done + late + 1) * period
         while (now := time.monotonic()) < due:
             time.sleep(due - now)
-        late += ticks.tick(now)
-        behind.add(ticks.behind)
+        behind.add(now - due)
+        missed, due = tick(due, period, now)
+        late += missed
         done += 1
     return behind, late, problems
 

@@ -17,7 +17,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 from numba.extending import intrinsic, overload
 
-from koop_core.borrowed import borrowed, overlay
+from koop_core.borrowed import borrowed, is_like, load, overlay, store
 from koop_core.foreign import call
 from koop_core.named_tuple import replace
 
@@ -114,11 +114,12 @@ def _without_owner(typing: Any, array: Any) -> Any:
 def _borrowed(lent):  # type: ignore[no-untyped-def]
     if isinstance(lent, types.Array):
         return lambda lent: _without_owner(lent)
-    if not isinstance(lent, types.BaseNamedTuple):
+    if not isinstance(lent, types.BaseTuple):
         return lambda lent: lent
-    values = (f"borrowed(lent.{name})" for name in lent.fields)
-    space = {"made": lent.instance_class, "borrowed": borrowed}
-    exec(f"def made_of(lent): return made({', '.join(values)})", space)
+    values = ", ".join(f"borrowed(lent[{i}])" for i in range(len(lent)))
+    space = {"made": getattr(lent, "instance_class", None), "borrowed": borrowed}
+    text = f"made({values})" if isinstance(lent, types.BaseNamedTuple) else f"({values},)"
+    exec(f"def made_of(lent): return {text}", space)
     return space["made_of"]
 
 
@@ -143,6 +144,60 @@ def _overlay(typing: Any, data: Any, at: Any, count: Any, dtype: Any) -> Any:
 @overload(overlay)
 def _overlaid(data, at, count, dtype):  # type: ignore[no-untyped-def]
     return lambda data, at, count, dtype: _overlay(data, at, count, dtype)
+
+
+@overload(is_like)
+def _is_like(value, like):  # type: ignore[no-untyped-def]
+    same = value == like
+    return lambda value, like: same
+
+
+def _place(context: Any, builder: Any, memory: Any, kind: Any, arguments: Any) -> Any:
+    """Return the pointer to a value of a type in an array of bytes."""
+    view = context.make_array(memory)(context, builder, arguments[0])
+    place = builder.gep(view.data, [arguments[1]])
+    return builder.bitcast(place, context.get_value_type(kind).as_pointer())
+
+
+@intrinsic
+def _load(typing: Any, memory: Any, at: Any, like: Any) -> Any:
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(_place(context, builder, memory, like, arguments))
+
+    return like(memory, types.intp, like), made
+
+
+@overload(load)
+def _loaded(memory, at, like):  # type: ignore[no-untyped-def]
+    return lambda memory, at, like: _load(memory, at, like)
+
+
+@intrinsic
+def _store(typing: Any, memory: Any, at: Any, value: Any) -> Any:
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], _place(context, builder, memory, value, arguments))
+        return context.get_dummy_value()
+
+    return types.void(memory, types.intp, value), made
+
+
+@intrinsic
+def _size(typing: Any, value: Any) -> Any:
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        size = context.get_abi_sizeof(context.get_value_type(value))
+        return context.get_constant(types.intp, size)
+
+    return types.intp(value), made
+
+
+@overload(store)
+def _stored(memory, at, value):  # type: ignore[no-untyped-def]
+    def put(memory, at, value):  # type: ignore[no-untyped-def]
+        if at + _size(value) > memory.size:
+            raise ValueError("a value does not fit the memory that it is stored in")
+        _store(memory, at, borrowed(value))
+
+    return put
 
 
 @intrinsic

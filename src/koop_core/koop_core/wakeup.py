@@ -1,72 +1,171 @@
-"""How compiled code waits for its next message, until Python is due, by libc. Pure."""
+"""How compiled code goes on with the loops of a process until Python is due, by libc. Pure.
+
+Of each loop it has a :class:`Turn` in a table: what Python has lent, and when it is due. It runs
+the loops that are due, and sleeps until the next one is or has a message.
+"""
 
 from __future__ import annotations
 
-import time
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.borrowed import borrowed
+from koop_core.borrowed import borrowed, is_like, load, store
+from koop_core.clock import Clock, steady
 from koop_core.foreign import call
 from koop_core.kernels import Kernel, njit
 from koop_core.port import IDLE, MORE
 
-STEADY = time.CLOCK_MONOTONIC
+READABLE = 1 << 32  # the events of a pollfd, above its descriptor: POLLIN
+ROOM = 1 << 13  # [B] of what is lent of a loop
+NOW, NEVER = -math.inf, math.inf
+Reasons = NDArray[np.int64]
+"""Shape (S,): why each stage of a loop has stopped, see :mod:`koop_core.port`."""
 
 
 class Wakeup(NamedTuple):
     """What wakes a thread."""
 
-    clock: int
-    epoll_wait: int
+    clock: Clock
+    """Tells when the code looked last."""
+    ppoll: int
     read: int
-    """Addresses of libc's clock_gettime, epoll_wait and read."""
+    """Addresses of libc's functions."""
     epoll: int
     """Descriptor that tells whether there is anything new for the thread."""
-    descriptors: NDArray[np.int64]
-    """Shape (S,): those of it to which DDS writes that there are messages for the code."""
     until: float
     """Steady time [s] at which Python has something to do."""
     memory: NDArray[np.int64]
-    """Shape (4,): the steady time at which the code waited last [s, ns]; what libc writes."""
+    """Shape (4,): a pollfd, how long to wait [s, ns], and what is read."""
+
+
+class Turns(NamedTuple):
+    """The L loops of a process, with up to S stages each."""
+
+    memory: NDArray[np.uint8]
+    """Shape (L, ROOM): what is lent."""
+    due: NDArray[np.float64]
+    """Shape (L,): steady time [s] at which a loop has something to do without a message."""
+    lent: NDArray[np.bool_]
+    """Shape (L,)."""
+    reasons: NDArray[np.int64]
+    """Shape (L, S)."""
+    descriptors: NDArray[np.int64]
+    """Shape (L, S): those of the epoll to which DDS writes that there are messages; -1: none."""
+
+
+def make_turns(loops: int, stages: int) -> Turns:
+    """Return a table of loops of which nothing is lent."""
+    return Turns(
+        np.zeros((loops, ROOM), np.uint8), np.full(loops, NEVER), np.zeros(loops, np.bool_),
+        np.zeros((loops, stages), np.int64), np.full((loops, stages), -1),
+    )  # fmt: skip
 
 
 @njit()
-def wait(wakeup: Wakeup) -> int:
-    """Sleep until there are messages for the code: MORE; IDLE where it is Python's turn.
+def put(turns: Turns, i: int, loop: Any, like: Any) -> bool:
+    """Lend a loop, whose owner keeps it, if it is of the type of another; return whether it is."""
+    if not is_like(loop, like):
+        return False
+    store(turns.memory[i], 0, loop)
+    return True
 
-    Epoll's time is in whole milliseconds: the rest is Python's to wait for.
-    """
-    memory = wakeup.memory
-    call(wakeup.clock, STEADY, memory.ctypes.data, 0, 0)
-    left = int((wakeup.until - (memory[0] + memory[1] * 1e-9)) * 1e3)
-    if left <= 0:
-        return IDLE
-    call(wakeup.epoll_wait, wakeup.epoll, memory[2:].ctypes.data, 1, left)
-    found = IDLE
-    for descriptor in wakeup.descriptors:  # of an eventfd: to read it is to clear it
-        if call(wakeup.read, descriptor, memory[2:].ctypes.data, 8, 0) > 0:
-            found = MORE
+
+@njit()
+def get(turns: Turns, i: int, loop: Any) -> Any:
+    """Return what has changed of a loop, of this type, since it was lent."""
+    return load(turns.memory[i], 0, loop).progress
+
+
+@njit()
+def is_told(wakeup: Wakeup, descriptors: NDArray[np.int64]) -> bool:
+    """Return whether there are messages for stages, and forget it."""
+    told = False
+    for descriptor in descriptors:  # of an eventfd: to read it is to clear it
+        if descriptor >= 0:
+            got = call(wakeup.read, descriptor, wakeup.memory[3:].ctypes.data, 8, 0)
+            told = told or got > 0
+    return told
+
+
+@njit()
+def wait(wakeup: Wakeup, turns: Turns) -> bool:
+    """Sleep until a loop is due or has messages; return False where it is Python's turn."""
+    memory, due = wakeup.memory, NEVER
+    for i in range(turns.due.size):
+        if turns.lent[i]:
+            due = min(due, turns.due[i])
+    left = min(wakeup.until, due) - steady(wakeup.clock)
+    if left <= 0.0:
+        return bool(due <= wakeup.until)
+    memory[0] = wakeup.epoll | READABLE
+    memory[1] = int(left)
+    memory[2] = int((left - memory[1]) * 1e9)
+    if call(wakeup.ppoll, memory.ctypes.data, 1, memory[1:].ctypes.data, 0) == 0:
+        return bool(due <= wakeup.until)
+    found = False
+    for i in range(turns.due.size):
+        if turns.lent[i] and is_told(wakeup, turns.descriptors[i]):
+            turns.due[i], found = NOW, True
     return found
 
 
-def alone(answer_next: Kernel) -> Kernel:
-    """Return the kernel of :class:`koop_node.node.stages.Stages` for a stage by itself.
+def make_run(go_on: Kernel) -> Kernel:
+    """Return the kernel that runs the loops of a process.
 
-    No stage imports this module: whoever compiles locks modules, from here to the stage's.
+    ``go_on(most, loop, reasons)`` goes on with one until it has a reason to stop, at most so many
+    messages, and returns it and when it is due. No stage imports this module: whoever compiles
+    locks modules, from here to the stage's.
     """
 
     @njit(nogil=True)
-    def answer(most: int, wakeup: Wakeup, stage: Any, progress: Any) -> Any:
-        reason, lent = MORE, borrowed(stage)
+    def run(most: int, wakeup: Wakeup, table: Turns, like: Any) -> None:
+        turns, going = borrowed(table), True
+        while going:
+            now = steady(wakeup.clock)
+            for i in range(turns.due.size):
+                if not turns.lent[i] or turns.due[i] > now:
+                    continue
+                reasons = turns.reasons[i]
+                loop, due = go_on(most, load(turns.memory[i], 0, like), reasons)
+                while reasons.max() == IDLE and is_told(wakeup, turns.descriptors[i]):
+                    loop, due = go_on(most, loop, reasons)
+                store(turns.memory[i], 0, loop)
+                turns.due[i] = due if reasons.max() == IDLE else NOW
+                going = going and reasons.max() == IDLE
+            going = going and wait(wakeup, turns)
+
+    return run
+
+
+def alone(answer_next: Kernel, due: Kernel) -> Kernel:
+    """Return ``go_on`` of :func:`make_run` for a stage by itself, and the type of its loop."""
+
+    @njit()
+    def go_on(most: int, loop: Any, reasons: Reasons) -> Any:
+        reason, progress, stage = MORE, loop.progress[0], loop.stages[0]
         for _ in range(most):
-            reason, progress = answer_next(lent, progress)
-            if reason == IDLE:
-                reason = wait(wakeup)
+            reason, progress = answer_next(stage, progress)
             if reason != MORE:
                 break
-        return ((reason, progress),)
+        reasons[0] = reason
+        return Loop((stage,), (progress,)), due(progress)
 
-    return answer
+    return go_on
+
+
+class Loop(NamedTuple):
+    """What is lent of a loop, by stage."""
+
+    stages: Any
+    """What stays the same."""
+    progress: Any
+    """What changes."""
+
+
+@njit()
+def never(progress: Any) -> float:
+    """Return when a stage is due that only answers messages."""
+    return NEVER

@@ -1,5 +1,7 @@
 """The executor of the nodes, with rclpy's own entities over DDS."""
 
+import math
+import os
 import time
 
 import pytest
@@ -7,8 +9,7 @@ import rclpy
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from koop_core.port import IDLE, MORE
-from koop_core.wakeup import wait
+from koop_core.wakeup import make_turns, wait
 from koop_node.node.executor import AT_ONCE, Executor
 from koop_node.node.rclpy_internals import WithoutEvents
 
@@ -79,20 +80,27 @@ def test_compiled_code_wakes_for_its_messages_and_leaves_all_else_to_python(node
     run_until(executor, publisher.get_subscription_count)
     run_until(executor, other.get_subscription_count)
 
-    def wait_for(seconds):
-        return wait(executor.wakeup([hot], time.monotonic() + seconds))
+    turns = make_turns(1, 1)
+    turns.lent[0], turns.descriptors[0] = True, executor.descriptor(hot)
+
+    def wait_for(seconds, due=math.inf):
+        begin = time.monotonic()
+        turns.due[0] = begin + due
+        return wait(executor.wakeup(begin + seconds), turns)
 
     publisher.publish(Float64(data=1.0))
-    assert wait_for(60.0) == MORE
-    assert wait_for(0.01) == IDLE  # it is woken once
+    assert wait_for(60.0)
+    assert not wait_for(0.01)  # it is woken once
     executor.run(0.0)
     assert not heard  # nobody but the code is told
-    executor.look_again([hot])  # which has left it
+    os.eventfd_write(executor.descriptor(hot), AT_ONCE)  # which has left it
     run_until(executor, lambda: heard)
+    assert wait_for(60.0, due=0.01)  # by the time
+    assert not wait_for(0.01, due=60.0)
     other.publish(Float64())
-    assert wait_for(60.0) == IDLE
+    assert not wait_for(60.0)
     run_until(executor, lambda: calls)
-    assert wait_for(-1.0) == IDLE
+    assert not wait_for(-1.0)
 
 
 def test_what_a_callback_destroys_is_not_called_and_what_it_makes_is(node, executor):

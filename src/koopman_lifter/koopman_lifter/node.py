@@ -298,7 +298,7 @@ class LifterRun(Run):
             return None
         joined = self._input.steady and not (self._state.settling or self._filling())
         source = target = NO_PORT
-        if reader is not None and writer is not None and joined and answer.lockstep:
+        if reader is not None and writer is not None and joined:
             state = codec(MeasuredState).new()
             state.header, state.x = answer.header, [0.0] * self._n
             source, target = reader.port(state, STATE), writer.port(answer, COST)
@@ -311,8 +311,11 @@ class LifterRun(Run):
         stage = LifterStage(
             source, target, self._source, self._loaded.lifting, self._detector, self._loaded.work,
             np.zeros(self._n), np.zeros(watched), self._watch.senses, self._kept,
+            self._input.freshness(answer.lockstep),
         )  # fmt: skip
-        return stage, LifterProgress(answer.step, self._state, self._watch.tally)
+        return stage, LifterProgress(
+            answer.step, self._state, self._watch.tally, self._input.clocks
+        )
 
     def take_back(self, before: LifterProgress, after: LifterProgress, now: float) -> None:
         """Go on where the compiled code ended."""
@@ -320,7 +323,7 @@ class LifterRun(Run):
             self._state, self._answer = after.detector, self._publisher.last()
             self._watch.tally = after.tally
             stamp = to_seconds(self._answer.header.stamp)
-            self._input.follow_on(count, stamp, now)
+            self._input.follow_on(count, stamp, now, after.clocks)
 
     def handle(self, reason: int) -> None:
         super().handle(reason)

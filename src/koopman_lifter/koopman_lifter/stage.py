@@ -24,7 +24,9 @@ from koop_core.port import (
     send,
     word,
 )
+from koop_core.stream.age import Clocks
 from koop_core.stream.arrival import Arrival
+from koop_core.stream.fresh import Freshness, is_fresh
 from koopman_lifter import candidate, change, cost
 from koopman_lifter.candidate import Samples
 from koopman_lifter.change import Senses, Tally
@@ -55,14 +57,17 @@ class LifterStage(NamedTuple):
     """Of the watch."""
     kept: Samples
     """What a candidate is learned from."""
+    fresh: Freshness
+    """Of a state."""
 
 
 class LifterProgress(NamedTuple):
-    """What changes: the step of the last state, the detector and the watch."""
+    """What changes: the step of the last state, its writer's clock, the detector and the watch."""
 
     step: int
     detector: DetectorState
     tally: Tally
+    clocks: Clocks
 
 
 @njit()
@@ -73,7 +78,8 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
     if got != PLAIN:
         return got, progress
     step = progress.step + 1
-    if word(port, 0)[0] != step or port.data[port.at[1]] != 1 or not copy_header(port, answer):
+    fresh, clocks = is_fresh(stage.fresh, port, 1, progress.clocks)
+    if not fresh or word(port, 0)[0] != step or not copy_header(port, answer):
         return OTHER, progress
     measured = floats(port, 2, sample.size)
     for i in range(sample.size):
@@ -104,4 +110,4 @@ def answer_next(stage: LifterStage, progress: LifterProgress) -> tuple[int, Lift
         reason = CHANGED
     if math.isnan(r):
         reason = UNUSABLE
-    return reason, LifterProgress(step, detector, tally)
+    return reason, LifterProgress(step, detector, tally, clocks)

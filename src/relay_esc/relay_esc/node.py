@@ -181,10 +181,9 @@ class EscRun(Run):
         reader, writer, level = self.reader, self._publisher, self._level
         if self._several:
             return None
-        plain = self._lockstep and self._input.steady
         source, model_id = self._origin or (0, "")
         taken = given = NO_PORT
-        if reader is not None and writer is not None and plain:
+        if reader is not None and writer is not None and self._input.steady:
             cost = codec(Cost).new()
             cost.header, cost.model_id = self._answer.header, model_id
             taken, given = reader.port(cost, COST), writer.port(self._answer, THETA)
@@ -193,9 +192,12 @@ class EscRun(Run):
         stage = ControllerStage(
             taken, given, self._input.dt, source, np.frombuffer(model_id.encode(), np.uint8),
             self._params, self._bound, self._hold_asked, level.window - 1,
+            self._input.freshness(self._lockstep),
         )  # fmt: skip
         step = self._answer.step
-        return stage, ControllerProgress(step, self._state, self._barrier, level.sum, level.count)
+        return stage, ControllerProgress(
+            step, self._state, self._barrier, level.sum, level.count, self._input.clocks
+        )
 
     def take_back(self, before: ControllerProgress, after: ControllerProgress, now: float) -> None:
         """Go on where the compiled code ended."""
@@ -204,7 +206,7 @@ class EscRun(Run):
             self._answer, self._level.sum = self._publisher.last(), after.level_sum
             self._level.count = after.level_count
             stamp = to_seconds(self._answer.header.stamp)
-            self._input.follow_on(count, stamp, now)
+            self._input.follow_on(count, stamp, now, after.clocks)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]

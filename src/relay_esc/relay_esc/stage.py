@@ -24,7 +24,9 @@ from koop_core.port import (
     send,
     word,
 )
+from koop_core.stream.age import Clocks
 from koop_core.stream.arrival import Arrival
+from koop_core.stream.fresh import Freshness, is_fresh
 from relay_esc import barrier, relay
 from relay_esc.barrier import BarrierParams, BarrierState
 from relay_esc.relay import RelayParams, RelayState
@@ -53,16 +55,23 @@ class ControllerStage(NamedTuple):
     """Whether the user holds theta."""
     level_most: int
     """Costs of a window of :class:`relay_esc.level.CostLevel`, less one."""
+    fresh: Freshness
+    """Of a cost."""
 
 
 class ControllerProgress(NamedTuple):
-    """What changes: the step of the last cost, relay, barrier, and the level's sum and count."""
+    """What changes.
+
+    That is the step of the last cost, relay, barrier, the level's sum and count, and the clock of
+    the costs' writer.
+    """
 
     step: int
     relay: RelayState
     barrier: BarrierState
     level_sum: float
     level_count: int
+    clocks: Clocks
 
 
 @njit()
@@ -78,7 +87,8 @@ def answer_next(
     r = floats(port, 2, 1)[0]
     plain = word(port, 0)[0] == step and floats(port, 1, 1)[0] == stage.dt and math.isfinite(r)
     plain = plain and port.data[port.at[3]] == stage.source and port.data[port.at[4]] == 0
-    plain = plain and port.data[port.at[7]] == 1
+    fresh, clocks = is_fresh(stage.fresh, port, 7, progress.clocks)
+    plain = plain and fresh
     plain = plain and progress.level_count < stage.level_most
     for i in range(stage.model_id.size):
         plain = plain and port.data[port.at[6] + i] == stage.model_id[i]
@@ -104,4 +114,4 @@ def answer_next(
     level_sum, level_count = progress.level_sum, progress.level_count
     if not holding:
         level_sum, level_count = level_sum + r, level_count + 1
-    return MORE, ControllerProgress(step, state, barrier_state, level_sum, level_count)
+    return MORE, ControllerProgress(step, state, barrier_state, level_sum, level_count, clocks)

@@ -18,8 +18,10 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from koop_core.stream.age import AgeMeter
+from koop_core.clock import make_clock
+from koop_core.stream.age import UNKNOWN, Clocks, age
 from koop_core.stream.arrival import NOTHING, Arrival, Heard, classify, timeout_of
+from koop_core.stream.fresh import Freshness
 from koop_core.stream.report import ERROR, GHOST, OK, STALE, WARN, NodeFinding
 from koop_core.stream.settings import STREAM
 
@@ -53,10 +55,12 @@ class StreamMonitor:
         self.unusable = self.too_old = 0
         self.problem = ""
         self._stamp = 0.0
-        self._heard = math.nan
+        self.heard = math.nan
+        """Steady time of the newest message [s]."""
         self._stream = NOTHING
         self._reported: tuple[int, ...] = (0,) * 6
-        self._meter = AgeMeter()
+        self.clocks = UNKNOWN
+        """Of its writer."""
         self._silent = False  # whether its source was silent for long and still there
         self._paused = False
 
@@ -84,11 +88,12 @@ class StreamMonitor:
             return Arrival.TOO_OLD
         if not math.isnan(written):
             if step < last - STREAM.window:
-                self._meter.reset()
-            if 0.0 < self.timeout < self._meter.age(written, now):
+                self.clocks = UNKNOWN
+            old, self.clocks = age(self.clocks, written, now)
+            if 0.0 < self.timeout < old:
                 self.too_old += 1
                 return Arrival.TOO_OLD
-        self._heard, self._stamp, self._silent = now, stamp, False
+        self.heard, self._stamp, self._silent = now, stamp, False
         arrival, self._stream = classify(self._stream, step, self.timeout, self.dt)
         if arrival is Arrival.REPEAT:
             self.repeated += 1
@@ -109,11 +114,16 @@ class StreamMonitor:
         """Whether the next message may follow on the last one."""
         return self._stream.step >= 0 and not self._paused
 
-    def follow_on(self, count: int, stamp: float, now: float) -> None:
+    def follow_on(self, count: int, stamp: float, now: float, clocks: Clocks = UNKNOWN) -> None:
         """Take note of messages that followed each on the last, heard until a steady time [s]."""
         self.count += count
+        self.clocks = clocks
         self._stream = Heard(self._stream.step + count, 0)
-        self._heard, self._stamp, self._silent = now, stamp, False
+        self.heard, self._stamp, self._silent = now, stamp, False
+
+    def freshness(self, lockstep: bool) -> Freshness:
+        """Return what decides whether compiled code may answer a message."""
+        return Freshness(lockstep, self.timeout, make_clock())
 
     def follow(self, dt: float) -> None:
         """Take the stream for one of another sampling time [s], which follows on nothing."""
@@ -125,7 +135,7 @@ class StreamMonitor:
 
     def watch_from(self, now: float) -> None:
         """Let the age count from ``now`` although nothing was heard yet."""
-        self._heard = now
+        self.heard = now
 
     def reject(self, problem: str) -> None:
         """Count a message whose content cannot be used."""
@@ -134,7 +144,7 @@ class StreamMonitor:
 
     def age(self, now: float) -> float:
         """Return the time since the last message [s]; NaN before the first."""
-        return now - self._heard
+        return now - self.heard
 
     def stale(self, now: float) -> bool:
         """Return True if the timeout has passed since the last message."""
@@ -174,7 +184,7 @@ class StreamMonitor:
             yield NodeFinding(ERROR, text)
         if unusable:
             yield NodeFinding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
-        if math.isnan(self._heard) and not unheard:
+        if math.isnan(self.heard) and not unheard:
             source = "its publisher is silent" if publishers else "no publisher"
             yield NodeFinding(WARN, f"nothing on '{self.topic}' yet: {source}", at_once=False)
         if self.stale(now):
@@ -209,6 +219,6 @@ class StreamMonitor:
         """Return the state of the watchdog: off, waiting, ok or stale."""
         if self.timeout == 0.0:
             return "off"
-        if math.isnan(self._heard):
+        if math.isnan(self.heard):
             return "waiting"
         return "stale" if self.stale(now) else "ok"

@@ -139,7 +139,7 @@ class _OfRos:
         self._timer = timer
         self.cancel = timer.cancel
 
-    def restart(self, period: float | None = None) -> None:
+    def restart(self, period: float | None = None, due: float | None = None) -> None:
         if period is not None:
             self._timer.timer_period_ns = round(period * 1e9)
         self._timer.reset()
@@ -152,13 +152,14 @@ class Entities:
     Timers run on the steady clock, whatever simulated time does.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, prepare: Callable[[], object]) -> None:
         self.inputs: dict[str, Input] = {}
         """Made by :meth:`reader` and :meth:`dated_subscription`, by topic as written."""
         self.waiting_for = ""
         self.fail: Callable[[], object] = bool
         """Ends the node as one that failed."""
         self._node = node
+        self._prepare = prepare  # before a timer calls back; the executor does it for all else
         self._stack = ExitStack()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._publishers: list[Publisher] = []
@@ -248,6 +249,7 @@ class Entities:
 
         def tick() -> None:
             if self._open:
+                self._prepare()
                 callback()
 
         if self._schedule is not None:

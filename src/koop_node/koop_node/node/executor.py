@@ -16,7 +16,7 @@ import ctypes
 import os
 import resource
 import select
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
 from typing import Any
@@ -29,6 +29,7 @@ from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
+from koop_core.clock import make_clock
 from koop_core.foreign import libc
 from koop_core.wakeup import Wakeup
 
@@ -47,6 +48,7 @@ class Executor:
         self._descriptors: dict[Any, int] = {}  # by subscription or node
         self._entities: dict[Any, tuple[int, Take]] = {}  # descriptor and take
         self._takers: dict[int, list[Take]] = {}  # by descriptor
+        self._owners: dict[int, Node] = {}  # by it, too
         self._epoll = select.epoll()
         self._changed = False
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -87,6 +89,7 @@ class Executor:
         for descriptor, _ in self._epoll.poll(timeout - 0.001 if timeout else 0.0):
             most = count = os.eventfd_read(descriptor)
             takers = self._takers[descriptor]
+            getattr(self._owners[descriptor], "take_back", bool)()
             if count > AT_ONCE or len(takers) > 1:
                 most = AT_ONCE
             for take in takers:
@@ -97,25 +100,23 @@ class Executor:
                     if most == AT_ONCE:  # there may be more
                         os.eventfd_write(descriptor, max(count - most, 1))
 
-    def wakeup(self, subscriptions: Sequence[Subscription], until: float) -> Wakeup:
-        """Return how compiled code waits for messages of some, at most to a steady time [s]."""
-        if self._changed:
-            self._follow()
-        descriptors = [self._descriptors[each] for each in subscriptions]
+    def wakeup(self, until: float) -> Wakeup:
+        """Return how compiled code waits, at most to a steady time [s]."""
         return Wakeup(
-            libc("clock_gettime"), libc("epoll_wait"), libc("read"), self._epoll.fileno(),
-            np.array(descriptors, np.int64), until, np.zeros(4, np.int64),
+            make_clock(), libc("ppoll"), libc("read"), self._epoll.fileno(), until,
+            np.zeros(4, np.int64),
         )  # fmt: skip
 
-    def look_again(self, subscriptions: Sequence[Subscription]) -> None:
-        """Look for messages of subscriptions, of which compiled code may have left some."""
-        for each in subscriptions:
-            os.eventfd_write(self._descriptors[each], AT_ONCE)
+    def descriptor(self, subscription: Subscription) -> int:
+        """Return where DDS tells that there are messages of a subscription."""
+        if self._changed:
+            self._follow()
+        return self._descriptors[subscription]
 
     def _follow(self) -> None:
         """Listen to what the nodes have now."""
         self._changed = False
-        there = {entity: (owner, make) for owner, entity, make in self._find()}
+        there = {entity: (node, owner, make) for node, owner, entity, make in self._find()}
         for entity in self._entities.keys() - there.keys():
             descriptor, take = self._entities.pop(entity)
             self._takers[descriptor].remove(take)
@@ -123,29 +124,30 @@ class Executor:
                 _notify(entity, None, None)
         for owner, descriptor in list(self._descriptors.items()):
             if not self._takers[descriptor]:
-                del self._descriptors[owner], self._takers[descriptor]
+                del self._descriptors[owner], self._takers[descriptor], self._owners[descriptor]
                 self._epoll.unregister(descriptor)
                 os.close(descriptor)
         for entity in there.keys() - self._entities.keys():
-            owner, make = there[entity]
+            node, owner, make = there[entity]
             if owner not in self._descriptors:
                 descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
                 self._descriptors[owner], self._takers[descriptor] = descriptor, []
+                self._owners[descriptor] = node
                 self._epoll.register(descriptor, select.EPOLLIN)
             descriptor, take = self._descriptors[owner], make(entity)
             self._entities[entity] = descriptor, take
             self._takers[descriptor].append(take)
             _notify(entity, libc("eventfd_write"), descriptor)
 
-    def _find(self) -> Iterator[tuple[Any, Any, Callable[[Any], Take]]]:
-        """Yield each entity with whose descriptor it shares, and what makes its take."""
+    def _find(self) -> Iterator[tuple[Node, Any, Any, Callable[[Any], Take]]]:
+        """Yield each entity with its node, whose descriptor it shares, and what makes its take."""
         for node in self._nodes:
             for subscription in node.subscriptions:
-                yield subscription, subscription, _take_messages
+                yield node, subscription, subscription, _take_messages
             for service in node.services:
-                yield node, service, _take_requests
+                yield node, node, service, _take_requests
             for client in node.clients:
-                yield node, client, _take_responses
+                yield node, node, client, _take_responses
 
 
 def _take_messages(subscription: Any) -> Take:

@@ -101,14 +101,14 @@ def _spin(
         while not (ended or (timers.asked and all([node.may_end(timers.asked) for node in nodes]))):
             timers.run_due()
             now, wait = time.monotonic(), timers.wait(POLL)
-            house.tidy(now, wait)
+            house.tidy(now, min([wait, *(each.due - now for each in stages)]))
             if not asked and all(node.active for node in nodes):
                 asked = True
                 house.settle()  # numba and the kernels have come with the nodes' configuration
                 for problem in apply_priority(priority):
                     nodes[0].get_logger().warning(problem)
-            for each in stages:  # several do not wait for each other
-                each(executor, now + wait if len(stages) == 1 else 0.0)
+            for each in stages:
+                each(executor, now + wait)
             left = now + wait - time.monotonic()
             executor.run(0.0 if timers.ended else max(left, 0.0))
             if timers.ended:

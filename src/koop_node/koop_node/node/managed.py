@@ -21,6 +21,7 @@ from koop_core.kernels import Kernel
 from koop_core.port import OTHER
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import ERROR, OK, STALE, WARN, News, NodeFinding, summary
+from koop_core.wakeup import never
 from koop_node.node import schedule
 from koop_node.node.entities import Entities, Input
 from koop_node.node.graph import can_say_more, publishers_of, unheard
@@ -121,6 +122,8 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     """Configurations of its parameters, besides NodeConfig."""
     stage: ClassVar[Kernel | None] = None
     """Its messages' compiled way; see :mod:`koop_node.node.stages`."""
+    due: ClassVar[Kernel] = never
+    """When the stage has something to do without a message."""
 
     def __init__(
         self, name: str, make_run: Callable[[Any, Entities], RunT], **options: Any
@@ -128,6 +131,8 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         super().__init__(name, **options)
         self.exit_code: int | None = None
         self._schedule = schedule.current()
+        self.take_back: Callable[[], object] = bool
+        """Takes back what compiled code has of the node, before Python has to do with it."""
         self.run: RunT | None = None
         self._make_run = make_run
         self._while_configured: Entities | None = None
@@ -142,7 +147,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             self._parameters_changed,
             [*global_arguments, *(options.get("cli_args") or ())],
         )
-        self._while_there = Entities(self)
+        self._while_there = Entities(self, self._take_back)
         self._diagnostics = self._while_there.publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
         )
@@ -167,6 +172,9 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             return "unconfigured"
         return "active" if self.active else "inactive"
 
+    def _take_back(self) -> None:
+        self.take_back()
+
     def may_end(self, number: int) -> bool:
         """Return whether the process, which a signal asked to end, may end now."""
         return self.run is None or not self.active or self.run.may_end(number)
@@ -179,6 +187,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
 
     def close(self) -> None:
         """Go back to the first state before the process ends; called once, also after a signal."""
+        self.take_back()
         if self.active:
             self.trigger_deactivate()
         if self.run is not None:
@@ -201,7 +210,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     # -- lifecycle transitions ----------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        entities = Entities(self)
+        entities = Entities(self, self._take_back)
 
         def configure() -> None:
             self.run = self._make_run(self, entities)
@@ -212,7 +221,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         return self._attempt(configure, entities)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        entities = Entities(self)
+        entities = Entities(self, self._take_back)
         entities.fail = partial(self.finish, 1)
 
         def activate() -> None:

@@ -26,8 +26,8 @@ class Timer(Protocol):
     def cancel(self) -> None:
         """Let it be due no more, until it is restarted."""
 
-    def restart(self, period: float | None = None) -> None:
-        """Let it be due a period [s] from now, a new one if one is given, and so on."""
+    def restart(self, period: float | None = None, due: float | None = None) -> None:
+        """Let it be due at a steady time [s], or a period from now, a new one if one is given."""
 
 
 class ScheduledTimer:
@@ -42,10 +42,10 @@ class ScheduledTimer:
     def cancel(self) -> None:
         self.due = math.inf
 
-    def restart(self, period: float | None = None) -> None:
+    def restart(self, period: float | None = None, due: float | None = None) -> None:
         if period is not None:
             self.period = period
-        self.due = self._schedule.clock() + self.period
+        self.due = self._schedule.clock() + self.period if due is None else due
         self._schedule.push(self)
 
 

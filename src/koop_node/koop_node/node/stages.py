@@ -1,22 +1,27 @@
-"""The compiled stages of the nodes of a process: one node's, or those of a loop in lockstep.
+"""The compiled stages of the nodes of a process: one node's, or those of its loops.
 
 What a node does with a message that follows on the last one is the same for ever: it takes it, runs
 its kernel, publishes the answer, waits. That is compiled, with rcl's own functions; every message
 goes through DDS as ever. What is not plain (another layout, a gap, a join, the last step) goes to
 the node, in Python, before anything is done with it; so does all else that happens: timers,
 services, signals.
+
+Compiled code keeps what it needs of a node until Python has something to do with the node: whoever
+calls it back takes that back first, by :meth:`koop_node.node.managed.ManagedNode.take_back`.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
-from koop_core.port import FAILED, IDLE
-from koop_core.wakeup import alone
-from koop_node.node.executor import Executor
-from koop_node.node.managed import ManagedNode
+from koop_core.kernels import Kernel
+from koop_core.port import FAILED, IDLE, MORE
+from koop_core.wakeup import NEVER, NOW, Loop, alone, get, make_run, make_turns, put
+from koop_node.node.executor import AT_ONCE, Executor
+from koop_node.node.managed import ManagedNode, Run
 from koop_node.process.housekeeping import release_compiler
 
 MOST = 1000  # messages of a call: for so long, 10 ms, timers and others may wait
@@ -24,50 +29,92 @@ MOST = 1000  # messages of a call: for so long, 10 ms, timers and others may wai
 
 def stages_of_one(nodes: Sequence[ManagedNode[Any]]) -> list[Stages]:
     """Return the stage of the only node of a process, if it has one."""
-    return [Stages(alone(node.stage), [node]) for node in nodes if node.stage is not None]
+    return [Stages(alone(n.stage, n.due), [[n]]) for n in nodes if n.stage is not None]
 
 
 class Stages:
-    """Nodes of this process, and the kernel of their stages.
+    """The loops of this process, each a row of nodes, and the kernel that goes on with one.
 
-    ``kernel(most, wakeup, *stages, *progress)`` answers at most so many messages and returns, for
-    each node, why it has stopped and how far it is; see :meth:`koop_node.node.managed.Run.lend`.
+    See :func:`koop_core.wakeup.make_run` and :meth:`koop_node.node.managed.Run.lend`.
     """
 
-    def __init__(self, kernel: Callable[..., Any], nodes: Sequence[ManagedNode[Any]]) -> None:
-        self._kernel = kernel
-        self._nodes = nodes
-        self._rehearsed = False
+    def __init__(self, go_on: Kernel, loops: Sequence[Sequence[ManagedNode[Any]]]) -> None:
+        self._run = make_run(go_on)
+        self._loops = loops
+        self._turns = make_turns(len(loops), len(loops[0]))
+        self._lent: dict[int, tuple[list[Run], Loop]] = {}
+        self._like: Loop | None = None
+        self._looked = 0.0  # steady time [s] up to which there were messages
+        for number, nodes in enumerate(loops):
+            for node in nodes:
+                node.take_back = partial(self.take_back, number)
+
+    @property
+    def due(self) -> float:
+        """Steady time [s] of the next tick of compiled code."""
+        return float(self._turns.due.min())
 
     def __call__(self, executor: Executor, until: float) -> None:
         """Go on without Python as far as it goes, and wait for messages until a steady time [s].
 
         Raises RuntimeError if rcl cannot publish, as rclpy would.
         """
-        runs, stages, progress = [], [], []
-        for node in self._nodes:
-            lent = node.run and node.run.lend(not self._rehearsed)
-            if node.run is None or lent is None:
-                return
-            runs.append(node.run)
-            stages.append(lent[0])
-            progress.append(lent[1])
-        if not self._rehearsed:  # compiled before the first message: it takes seconds
-            self._kernel(0, executor.wakeup([], until), *stages, *progress)
-            release_compiler()
-            self._rehearsed = True
+        for number in range(len(self._loops)):
+            if number not in self._lent:
+                self._lend(number, executor)
+        if not self._lent:
             return
-        inputs = [run.reader.subscription for run in runs]
-        wakeup = executor.wakeup(inputs, until)
-        reached = self._kernel(MOST, wakeup, *stages, *progress)
-        now = time.monotonic()
-        if all(reason == IDLE for reason, _ in reached):
-            now = wakeup.memory[0] + wakeup.memory[1] * 1e-9
+        wakeup, turns = executor.wakeup(until), self._turns
+        self._run(MOST, wakeup, turns, self._like)
+        seconds, nanoseconds = wakeup.clock.memory.tolist()
+        self._looked = seconds + nanoseconds * 1e-9
+        for number in (turns.reasons.max(axis=1) > MORE).nonzero()[0].tolist():
+            runs, reasons = self._lent[number][0], turns.reasons[number].tolist()
+            self.take_back(number)
+            for node, run, reason in zip(self._loops[number], runs, reasons, strict=True):
+                if reason == FAILED:
+                    raise RuntimeError(f"{node.get_name()} cannot publish")
+                run.handle(reason)
+
+    def take_back(self, number: int) -> None:
+        """Let a loop's nodes go on where the compiled code ended, with what it has not taken."""
+        if number not in self._lent:
+            return
+        runs, loop = self._lent.pop(number)
+        turns = self._turns
+        turns.lent[number], turns.due[number], turns.reasons[number] = False, NEVER, IDLE
+        now = get(turns, number, loop)
+        for run, before, after in zip(runs, loop.progress, now, strict=True):
+            run.take_back(before, after, self._looked)
+        for descriptor in turns.descriptors[number].tolist():
+            os.eventfd_write(descriptor, AT_ONCE)
+
+    def _lend(self, number: int, executor: Executor) -> None:
+        """Lend a loop if all of its nodes can."""
+        runs: list[Run] = []
+        lent: list[tuple[Any, Any]] = []
+        for node in self._loops[number]:
+            each = node.run and node.run.lend(self._like is None)
+            if node.run is None or each is None:
+                break
+            runs.append(node.run)
+            lent.append(each)
         else:
-            executor.look_again(inputs)
-        for run, before, (_, after) in zip(runs, progress, reached, strict=True):
-            run.take_back(before, after, now)
-        for node, run, (reason, _) in zip(self._nodes, runs, reached, strict=True):
-            if reason == FAILED:
-                raise RuntimeError(f"{node.get_name()} cannot publish")
-            run.handle(reason)
+            loop, turns = Loop(*zip(*lent, strict=True)), self._turns
+            if self._like is None:  # compiled before the first message: it takes seconds
+                put(turns, number, loop, loop)
+                get(turns, number, loop)
+                self._run(0, executor.wakeup(0.0), turns, loop)
+                release_compiler()
+                self._like = loop
+            elif put(turns, number, loop, loop if not self._lent else self._like):
+                readers = [run.reader for run in runs]
+                turns.descriptors[number] = [
+                    executor.descriptor(each.subscription) if each else -1 for each in readers
+                ]
+                turns.lent[number], turns.due[number] = True, NOW
+                self._lent[number] = runs, loop
+                self._like = loop
+                return
+        for run, (_, same) in zip(runs, lent, strict=True):
+            run.take_back(same, same, self._looked)

@@ -10,14 +10,14 @@ from vdp_plant.config import PaceConfig, PlantConfig
 from vdp_plant.node.base import PlantRun
 from vdp_plant.node.lockstep import LockstepRun
 from vdp_plant.node.timed import TimedRun
-from vdp_plant.stage import step_next
+from vdp_plant.stage import due, step_next
 
 
 class PlantNode(ManagedNode[PlantRun]):
     """Simulates the plant step by step and publishes its corrupted state."""
 
     configs = (PlantConfig, PaceConfig, ListenersConfig)
-    stage = step_next
+    stage, due = step_next, due
 
     def __init__(self, name: str = "vdp_plant", **options: Any) -> None:
         super().__init__(name, _make_run, **options)

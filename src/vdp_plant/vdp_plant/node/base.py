@@ -13,19 +13,22 @@ from koop_msgs.msg import ControlInput, MeasuredState, PlantTruth
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
+from koop_core.clock import make_clock
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
+from koop_core.port import NO_PORT
 from koop_core.stream.arrival import Arrival
+from koop_core.stream.durations import Durations
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.graph import listeners_of
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
 from koop_node.node.qos import NEWEST, RELIABLE
 from koop_node.node.stamps import to_seconds, to_stamp
 from koop_node.node.wire import codec
-from vdp_plant import dynamics
+from vdp_plant import dynamics, pacing
 from vdp_plant.config import PaceConfig, PlantConfig
-from vdp_plant.pacing import SentStates
+from vdp_plant.stage import GROUND_TRUTH, STATE, THETA, PlantProgress, PlantStage
 
 
 class Outlets:
@@ -58,7 +61,8 @@ class PlantRun(Run):
         self._steps = round(pace.duration / config.dt) if pace.duration > 0.0 else math.inf
         initial = [knob.theta_initial for knob in config.knobs(coupling=())]
         self._theta, self._theta_applied = array("d", initial), array("d", initial)
-        self._theta_step = -1  # whose answer acts
+        self._theta_step = self._answered = -1  # whose answer acts, and the latest
+        self._due, self.late = math.inf, 0  # of ticks
         x, y = config.initial_state or dynamics.initial_state(config.seed)
         self._x, self._y = float(x), float(y)
         self._simulated_stamp = pace.pace != "realtime"
@@ -66,8 +70,12 @@ class PlantRun(Run):
             "theta", pace.theta_timeout, config.dt, newest_counts=self.theta_qos is NEWEST
         )
         self.inputs = (self._input,)
-        self._sent = SentStates(pace.period(config.dt))
+        self._period = pace.period(config.dt)
+        self._sent, self._last_sent = np.full(pacing.KEPT, math.nan), -1
         self._round_trip = math.nan
+        self._behind, self._round_trips = Durations(), Durations()
+        self._clock = make_clock()
+        self._compiled = 0  # steps without Python
         self._state_message = codec(MeasuredState).new()
         self._ground_truth_message = codec(PlantTruth).new()
         self._ground_truth_message.header = self._state_message.header
@@ -100,10 +108,6 @@ class PlantRun(Run):
         """Take a control input."""
         raise NotImplementedError
 
-    def describe_steps(self) -> str:
-        """Return what is said of the steps at the end."""
-        raise NotImplementedError
-
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
         """Return level, message and values of this pace for /diagnostics."""
         raise NotImplementedError
@@ -125,6 +129,7 @@ class PlantRun(Run):
             "theta": format_knobs(self._theta, ""),
             "theta_applied": format_knobs(self._theta_applied, ""),
             "round_trip_ms": f"{self._round_trip * 1e3:.2f}",
+            "compiled_steps": self._compiled,
             **values,
         }  # fmt: skip
 
@@ -143,7 +148,7 @@ class PlantRun(Run):
         stamp.sec, stamp.nanosec = divmod(self._time(k), 1_000_000_000)
         state.step = k
         state.x = self._measure(params, k, x, y)
-        self._sent.send(k, time.monotonic())
+        self._note_sent(k, time.monotonic())
         outlets.state.publish(state)
         ground_truth = self._ground_truth_message
         ground_truth.step = k
@@ -171,6 +176,9 @@ class PlantRun(Run):
         if self._k >= self._steps:
             self._end()
 
+    def _note_sent(self, step: int, now: float) -> None:
+        self._sent[step % pacing.KEPT], self._last_sent = now, step
+
     def _time(self, k: int) -> int:
         """Return the time [ns] that stands in the stamp of a step."""
         if self._simulated_stamp:
@@ -182,7 +190,9 @@ class PlantRun(Run):
     def _end(self) -> None:
         assert self._outlets is not None
         self._outlets.acknowledged(1.0)
-        self._node.get_logger().info(f"done: {self._k} steps, {self.describe_steps()}")
+        self._node.get_logger().info(
+            f"done: {self._k} steps, {self._compiled} of them compiled, {self.late} late ticks"
+        )
         self._node.finish(0)
 
     def _usable(self, message: Any) -> bool:
@@ -192,7 +202,7 @@ class PlantRun(Run):
         if not usable:
             self._input.reject(f"step {step}: theta = {list(message.theta)}")
             return False
-        age = self._sent.age(step, now)
+        age = pacing.age(self._sent, self._last_sent, self._period, step, now)
         if math.isnan(age):
             self._input.reject(f"step {step}: this run has published no such state")
             return False
@@ -203,6 +213,50 @@ class PlantRun(Run):
             return False
         self._round_trip = age
         return True
+
+    # -- compiled -----------------------------------------------------------------------------
+
+    def lend(self, rehearsal: bool) -> tuple[PlantStage, PlantProgress] | None:
+        """Return what :func:`vdp_plant.stage.step_next` needs; None where it cannot go on."""
+        reader, outlets, pace = self.reader, self._outlets, self._node.parameters[PaceConfig]
+        on_clock = self._on_clock_topic and not self._simulated_stamp
+        if len(self._theta) > 1 or on_clock or (outlets is not None and outlets.clock is not None):
+            return None
+        taken = state = truth = NO_PORT
+        plain = self.is_plain() and self._node.exit_code is None and self._input.steady
+        if reader is not None and outlets is not None and plain:
+            theta = codec(ControlInput).new()
+            theta.header, theta.theta = self._state_message.header, [0.0]
+            taken = reader.port(theta, THETA)
+            state = outlets.state.port(self._state_message, STATE)
+            truth = outlets.ground_truth.port(self._ground_truth_message, GROUND_TRUTH)
+        elif not rehearsal:
+            return None
+        oldest = pace.theta_timeout or math.inf
+        longest = pace.theta_timeout or pace.theta_safe_timeout or math.inf
+        stage = PlantStage(
+            taken, state, truth, self._params, float(self._steps), self._simulated_stamp,
+            self._clock, self._period, self._sent, oldest, longest, self._round_trips.counts,
+            self._behind.counts,
+        )  # fmt: skip
+        return stage, PlantProgress(
+            self._k, self._x, self._y, self._theta[0], self._theta_applied[0], self._answered,
+            0.0, self._input.heard, self._round_trip, self._theta_step, self._due, self.late,
+        )  # fmt: skip
+
+    def is_plain(self) -> bool:
+        """Return whether the next message or tick may be as any other."""
+        raise NotImplementedError
+
+    def take_back(self, before: PlantProgress, after: PlantProgress, now: float) -> None:
+        """Go on where the compiled code ended."""
+        if after.k != before.k and self._outlets is not None:
+            self._state_message = state = self._outlets.state.last()
+            self._ground_truth_message = self._outlets.ground_truth.last()
+            self._ground_truth_message.header = state.header
+        self._k, self._x, self._y, self._theta[0], self._theta_applied[0] = after[:5]
+        self._compiled += after.k - before.k
+        self._theta_step, self._due, self.late = after.theta_step, after.due, after.late
 
     def _compile(self) -> None:
         """Get the kernels before the first step."""

@@ -6,22 +6,11 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from koop_msgs.msg import ControlInput
-
-from koop_core.port import NO_PORT
 from koop_core.stream.resend import Due, Resend
 from koop_node.node.managed import ERROR, OK, Entities, ManagedNode
-from koop_node.node.wire import codec
 from vdp_plant.config import PACING, PaceConfig
 from vdp_plant.node.base import PlantRun
-from vdp_plant.stage import (
-    GROUND_TRUTH,
-    STATE,
-    THETA,
-    WINDOW,
-    PlantProgress,
-    PlantStage,
-)
+from vdp_plant.stage import WINDOW, PlantProgress
 
 CHECK_PERIOD = 0.05  # [s] between looks whether an answer is overdue
 SILENT = "the lifter (koopman_lifter) or the controller (relay_esc) is silent"
@@ -37,7 +26,6 @@ class LockstepRun(PlantRun):
         self._held_since: float | None = None
         self._holds = True
         """Whether the plant waits for listeners that fall behind."""
-        self._compiled = 0  # steps without Python
 
     def start(self, entities: Entities) -> None:
         entities.timer(CHECK_PERIOD, self._check_answer)
@@ -55,13 +43,10 @@ class LockstepRun(PlantRun):
         super().parameters_changed(names)
         self._question.timeout = self._node.parameters[PaceConfig].theta_timeout
 
-    def describe_steps(self) -> str:
-        return f"{self._compiled} of them compiled"
-
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
         if self._question.overdue:
             return ERROR, SILENT, {"command": "overdue"}
-        return OK, "running", {"command": "ok", "compiled_steps": self._compiled}
+        return OK, "running", {"command": "ok"}
 
     def _ask(self) -> None:
         if self._holds and self._k % WINDOW == 0 and not self._all_keep_up(CHECK_PERIOD):
@@ -94,7 +79,7 @@ class LockstepRun(PlantRun):
 
     def _send_again(self) -> None:
         if self._outlets is not None:
-            self._sent.send(self._k, time.monotonic())
+            self._note_sent(self._k, time.monotonic())
             self._outlets.state.publish(self._state_message)
 
     def on_theta(self, message: Any, written: float) -> None:
@@ -109,40 +94,16 @@ class LockstepRun(PlantRun):
 
     # -- compiled -----------------------------------------------------------------------------
 
-    def lend(self, rehearsal: bool) -> tuple[PlantStage, PlantProgress] | None:
-        """Return what :func:`vdp_plant.stage.step_next` needs; None where it cannot go on."""
-        reader, outlets, question = self.reader, self._outlets, self._question
-        if len(self._theta) > 1 or (outlets is not None and outlets.clock is not None):
-            return None
-        plain = question.open and not question.overdue and self._node.exit_code is None
-        taken = state = truth = NO_PORT
-        if reader is not None and outlets is not None and plain and self._input.steady:
-            theta = codec(ControlInput).new()
-            theta.header, theta.theta = self._state_message.header, [0.0]
-            taken = reader.port(theta, THETA)
-            state = outlets.state.port(self._state_message, STATE)
-            truth = outlets.ground_truth.port(self._ground_truth_message, GROUND_TRUTH)
-        elif not rehearsal:
-            return None
-        stage = PlantStage(taken, state, truth, self._params, float(self._steps))
-        return stage, PlantProgress(
-            self._k, self._x, self._y, self._theta[0], self._theta_applied[0]
-        )
+    def is_plain(self) -> bool:
+        return self._question.open and not self._question.overdue
 
     def take_back(self, before: PlantProgress, after: PlantProgress, now: float) -> None:
-        """Go on where the compiled code ended."""
-        outlets, count = self._outlets, after.k - before.k
-        if not count or outlets is None:
-            return
-        self._compiled += count
-        self._k, self._x, self._y, self._theta[0], self._theta_applied[0] = after
-        self._theta_step = self._k - 1
-        self._state_message = state = outlets.state.last()
-        self._ground_truth_message = outlets.ground_truth.last()
-        self._ground_truth_message.header = state.header
-        self._sent.send(self._k, now)
-        self._question.ask(now)
-        self._input.follow_on(count, self._theta_step * self._params.dt, now)
+        super().take_back(before, after, now)
+        if count := after.k - before.k:
+            self._theta_step = self._k - 1
+            self._note_sent(self._k, now)
+            self._question.ask(now)
+            self._input.follow_on(count, self._theta_step * self._params.dt, now)
 
     def _check_answer(self) -> None:
         if self._held_since is not None:

@@ -1,4 +1,4 @@
-"""The plant at the paces realtime and scaled."""
+"""The plant at the paces of a timer."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from array import array
 from collections.abc import Mapping
 from typing import Any
 
-from koop_core.stream.durations import Durations
-from koop_node.node.managed import OK, WARN, Entities, ManagedNode
+from koop_node.node.managed import OK, WARN, Entities
 from koop_node.node.qos import NEWEST
 from koop_node.node.schedule import Timer
+from vdp_plant import pacing
 from vdp_plant.config import PACING, PaceConfig
 from vdp_plant.node.base import PlantRun
-from vdp_plant.pacing import Ticks
+from vdp_plant.stage import TICK, PlantProgress, PlantStage
 
 
 class TimedRun(PlantRun):
@@ -21,23 +21,13 @@ class TimedRun(PlantRun):
 
     theta_qos = NEWEST
     theta_ages = True
-
-    def __init__(self, node: ManagedNode[PlantRun]) -> None:
-        super().__init__(node)
-        self._period = node.parameters[PaceConfig].period(self._params.dt)
-        self._ticks = Ticks(self._period)
-        self.late = self._late_before = self._k_before = 0
-        self._timer: Timer | None = None
-        self._behind, self._round_trips = Durations(), Durations()
-        self._command = "waiting"
-        self._answered = -1  # step of the latest theta
+    _late_before = _k_before = 0
+    _timer: Timer | None = None
+    _command = "waiting"
 
     def start(self, entities: Entities) -> None:
-        self._ticks.start(time.monotonic())
+        self._due = time.monotonic() + self._period
         self._timer = entities.timer(self._period, self._tick)
-
-    def describe_steps(self) -> str:
-        return f"{self.late} late ticks"
 
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
         late, self._late_before = self.late - self._late_before, self.late
@@ -57,8 +47,9 @@ class TimedRun(PlantRun):
 
     def _tick(self) -> None:
         now = time.monotonic()
-        self.late += self._ticks.tick(now)
-        self._behind.add(self._ticks.behind)
+        self._behind.add(now - self._due)
+        late, self._due = pacing.tick(self._due, self._period, now)
+        self.late += late
         self._publish()
         theta, pace = self._theta, self._node.parameters[PaceConfig]
         self._command = pace.watch(self._input.age(now))
@@ -72,3 +63,29 @@ class TimedRun(PlantRun):
         if self._usable(message):
             self._theta, self._answered = message.theta, message.step
             self._round_trips.add(self._round_trip)
+
+    # -- compiled -----------------------------------------------------------------------------
+
+    def is_plain(self) -> bool:
+        return self._timer is not None and self._command in ("ok", "off")
+
+    def lend(self, rehearsal: bool) -> tuple[PlantStage, PlantProgress] | None:
+        lent = super().lend(rehearsal)
+        if lent is not None and self._timer is not None:
+            self._timer.cancel()  # compiled code ticks until it is taken back
+        return lent
+
+    def take_back(self, before: PlantProgress, after: PlantProgress, now: float) -> None:
+        super().take_back(before, after, now)
+        if after.k != before.k:
+            self._note_sent(self._k - 1, self._sent[(self._k - 1) % pacing.KEPT])
+        if count := after.answered - before.answered:
+            self._answered, self._round_trip = after.answered, after.round_trip
+            self._input.follow_on(count, after.stamp, after.heard)
+        if self._timer is not None:
+            self._timer.restart(due=after.due)
+
+    def handle(self, reason: int) -> None:
+        super().handle(reason)
+        if reason == TICK:
+            self._tick()
