@@ -78,7 +78,7 @@ class CheckSettings(Settings):
     @property
     def series(self) -> tuple[tuple[float, tuple[tuple[int, float], ...]], ...]:
         """Factors for the length of blocks, each with stages: blocks, and the p that decides."""
-        longer = ((self.longer_blocks, self.p_more),)
+        longer = ((self.longer_blocks, self.p_more), (self.more, self.p_more))
         first = ((self.blocks, self.p), (self.more, self.p_more))
         return ((1.0, first), *((factor, longer) for factor in self.longer))
 
