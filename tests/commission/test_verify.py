@@ -230,6 +230,35 @@ def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
     assert not json.loads((tuned / "verify.json").read_text())["damped"]
 
 
+def test_where_a_later_tuning_refuses_the_controller_before_is_kept(
+    tuned, tmp_path, capsys, monkeypatch
+):
+    """Failed before: the command ended without a verdict, and without a controller in tuned."""
+    tunings = []
+
+    def refuse(rig, folders, out, *_):
+        tunings.append(out)
+        out.mkdir()
+        (out / "tune.json").write_text("{}")
+        return False
+
+    monkeypatch.setattr("koop_tune.tune_folders.tune_folders", refuse)
+    measured = Measured(1.0, 0.1, 1.0, 0.9, 0.0, 0.0, 3.0, 3.0, *[(BEST,)] * 3)
+    run = LoopRun((0.0,), measured, "", 1.0, (0, 9))
+    first = Round(1, PREDICTION, (run, run), False, False, "worse")
+    whole_file.write_json(tuned / "verify.json", Verification((first,)))
+    words = ["commission", str(tmp_path / "rig.yaml"), "--out", str(tuned)]
+    for _ in range(2):  # the same command says the same
+        assert main(words) == 1
+        assert tunings == [tuned / "tuned"]
+        assert (tuned / "tuned/controller.yaml").exists()
+        assert (tuned / "tuned-2/tune.json").read_text() == "{}"
+        out = capsys.readouterr().out
+        assert "round 1 came nearest to the best: its controller is kept" in out or _
+        assert "\nThe rig is not damped after 1 round: " in out
+        assert "; leave theta at " in out
+
+
 def test_a_folder_is_run_by_its_name_and_may_be_moved(tuned, tmp_path):
     for folder in (tuned, tuned / "tuned"):
         assert find_controller(folder)[0] == tuned / "tuned/controller.yaml"

@@ -105,7 +105,8 @@ class Commissioning:
         while True:
             rounds = load_verification(self._folder).finished
             number = len(rounds) + 1
-            if rounds and (rounds[-1].damped or number > VERIFICATION.rounds):
+            refused = (self._folder / f"{TUNED}-{number}").exists()
+            if rounds and (rounds[-1].damped or number > VERIFICATION.rounds or refused):
                 break
             if rounds:
                 print(verify.format_round(rounds[-1], self._rig.sense))
@@ -113,7 +114,10 @@ class Commissioning:
                 print(f"not {goal}: {rounds[-1].summary}; tuned again, with these recordings")
                 self._set_aside(len(rounds))
             if not self._tune(number):
-                return 1
+                if not rounds:
+                    return 1
+                self._set_aside(number)
+                break
             self._begin(f"verify, round {number}")
             verify.verify(self._rig, self._folder, self._note)
         return self._conclude(rounds)
@@ -155,7 +159,7 @@ class Commissioning:
         return tune_folders(self._rig, [self._folder, *loops], out, settings, self._note)
 
     def _set_aside(self, number: int) -> None:
-        """Keep the controller of a round under its number."""
+        """Keep the controller of a round, or why there is none, under its number."""
         old = self._folder / f"{TUNED}-{number}"
         if not old.exists():
             (self._folder / TUNED).rename(old)
@@ -164,7 +168,7 @@ class Commissioning:
         """Put the controller of the best round into ``tuned``, print the verdict."""
         index = kept_index(rounds)
         old = self._folder / f"{TUNED}-{index + 1}"
-        if index + 1 != len(rounds) and old.exists():
+        if old.exists():
             print(f"\nround {index + 1} came nearest to the best: its controller is kept")
             self._set_aside(len(rounds))
             old.rename(self._folder / TUNED)
