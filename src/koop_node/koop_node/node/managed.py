@@ -139,6 +139,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         self._while_active: Entities | None = None
         self._counted = (time.monotonic(), 0)
         self._news = News()
+        self._known_publishers: dict[str, list[Any]] = {}  # of its inputs, by topic
         global_arguments = sys.argv if options.get("use_global_arguments", True) else []
         self.parameters = Parameters(
             self,
@@ -312,7 +313,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         if self._while_active is not None and self._while_active.waiting_for:
             findings.append(NodeFinding(WARN, self._while_active.waiting_for, at_once=False))
         for monitor in run.inputs:
-            publishers = publishers_of(self, monitor.topic)
+            publishers = self._publishers_of(monitor, now)
             if self._while_active is not None:
                 findings += self._findings(monitor, now, publishers, self._while_active.inputs)
             values |= monitor.values(now, time.time(), len(publishers))
@@ -332,6 +333,13 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _publishers_of(self, monitor: StreamMonitor, now: float) -> list[Any]:
+        """Return the publishers of an input: the same, while it hears them and their number is."""
+        topic, known = monitor.topic, self._known_publishers.get(monitor.topic, [])
+        if not monitor.age(now) < REPORT_PERIOD or self.count_publishers(topic) != len(known):
+            known = self._known_publishers[topic] = publishers_of(self, topic)
+        return known
 
     def _findings(
         self, monitor: StreamMonitor, now: float, publishers: list[Any], inputs: dict[str, Input]
