@@ -46,7 +46,8 @@ class EscRun(Run):
         self._take_parameters()
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
-        self._hold_asked = self._lockstep = False
+        self._hold_asked = False
+        self._lockstep = self._usable = False  # the last cost
         self._publisher: Writer | None = None
         # for the types that messages bring, and compiled before the first of them
         first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
@@ -162,7 +163,8 @@ class EscRun(Run):
                 self._params, self._bound, self._state, self._barrier, *message, cost.margin
             )
             answer.theta = (self._state.output,)
-        if not (math.isfinite(cost.r) or cost.settling):
+        self._usable = math.isfinite(cost.r) and not cost.settling
+        if not (self._usable or cost.settling):
             self._input.reject(f"step {cost.step}: r = {cost.r}, dt = {cost.dt} s")
         if not answer.holding:
             self._level.take(cost.r)
@@ -183,7 +185,7 @@ class EscRun(Run):
             return None
         source, model_id = self._origin or (0, "")
         taken = given = NO_PORT
-        if reader is not None and writer is not None and self._input.steady:
+        if reader is not None and writer is not None and self._input.steady and self._usable:
             cost = codec(Cost).new()
             cost.header, cost.model_id = self._answer.header, model_id
             taken, given = reader.port(cost, COST), writer.port(self._answer, THETA)

@@ -54,13 +54,6 @@ class Leaf(NamedTuple):
         return number if self.kind == "number" else Array(number, None)
 
 
-class Packing(NamedTuple):
-    """Where the fields lie in all messages whose length words are the same."""
-
-    packer: struct.Struct
-    lengths: tuple[int, ...]
-
-
 class Piece(NamedTuple):
     """A length word (whose path is empty) or a value, and where it lies in a message."""
 
@@ -79,6 +72,14 @@ class Places(NamedTuple):
     """Shape (G, 2): offset and value of each length word."""
     size: int
     """Bytes of the message."""
+
+
+class Packing(NamedTuple):
+    """Where the fields lie in all messages whose length words are the same."""
+
+    packer: struct.Struct
+    lengths: tuple[int, ...]
+    places: Places
 
 
 class Codec:
@@ -125,27 +126,27 @@ class Codec:
 
     def places(self, data: bytes) -> Places:
         """Return where the values of a message lie; WireError as :meth:`decode`."""
-        lengths = self._find(data).lengths
-        pieces = list(self._pieces(lengths))
-        words = [piece.begin for piece in pieces if not piece.path]
-        guards = np.array(list(zip(words, lengths, strict=True))).reshape(-1, 2)
-        at = {piece.path: piece.begin for piece in pieces if piece.path}
-        return Places(at, guards, pieces[-1].end)
+        return self._find(data).places
 
     def _layout(self, lengths: tuple[int, ...]) -> Packing:
         if lengths not in self._layouts:
             if len(self._layouts) > 100:  # lengths that change for ever must not fill the memory
                 self._layouts.clear()
-            self._layouts[lengths] = Packing(struct.Struct(self._format(lengths)), lengths)
+            self._layouts[lengths] = self._pack(lengths)
         return self._layouts[lengths]
 
-    def _format(self, lengths: tuple[int, ...]) -> str:
-        text, at = "<4s", len(LITTLE)
+    def _pack(self, lengths: tuple[int, ...]) -> Packing:
+        text, end, at, words = "<4s", len(LITTLE), {}, []
         for piece in self._pieces(lengths):
-            pad = piece.begin - at
+            pad = piece.begin - end
             text += f"{pad}x{piece.item}" if pad else piece.item
-            at = piece.end
-        return text
+            end = piece.end
+            if piece.path:
+                at[piece.path] = piece.begin
+            else:
+                words.append(piece.begin)
+        guards = np.array(list(zip(words, lengths, strict=True)), np.int64).reshape(-1, 2)
+        return Packing(struct.Struct(text), lengths, Places(at, guards, end))
 
     def _pieces(self, lengths: tuple[int, ...]) -> Iterator[Piece]:
         end, left = len(LITTLE), iter(lengths)
