@@ -21,6 +21,7 @@ from koop_core.port import IDLE, MORE
 READABLE = 1 << 32  # the events of a pollfd, above its descriptor: POLLIN
 ROOM = 1 << 13  # [B] of what is lent of a loop
 NOW, NEVER = -math.inf, math.inf
+NEAR = 0.5e-3  # [s] within which a tick comes before Python, which takes as long
 Reasons = NDArray[np.int64]
 """Shape (S,): why each stage of a loop has stopped, see :mod:`koop_core.port`."""
 
@@ -93,18 +94,20 @@ def is_told(wakeup: Wakeup, descriptors: NDArray[np.int64]) -> bool:
 @njit()
 def wait(wakeup: Wakeup, turns: Turns) -> bool:
     """Sleep until a loop is due or has messages; return False where it is Python's turn."""
-    memory, due = wakeup.memory, NEVER
+    memory, until, due = wakeup.memory, wakeup.until, NEVER
     for i in range(turns.due.size):
         if turns.lent[i]:
             due = min(due, turns.due[i])
-    left = min(wakeup.until, due) - steady(wakeup.clock)
+    if until < due < until + NEAR:
+        until = due
+    left = min(until, due) - steady(wakeup.clock)
     if left <= 0.0:
-        return bool(due <= wakeup.until)
+        return bool(due <= until)
     memory[0] = wakeup.epoll | READABLE
     memory[1] = int(left)
     memory[2] = int((left - memory[1]) * 1e9)
     if call(wakeup.ppoll, memory.ctypes.data, 1, memory[1:].ctypes.data, 0) == 0:
-        return bool(due <= wakeup.until)
+        return bool(due <= until)
     found = False
     for i in range(turns.due.size):
         if turns.lent[i] and is_told(wakeup, turns.descriptors[i]):

@@ -12,6 +12,7 @@ calls it back takes that back first, by :meth:`koop_node.node.managed.ManagedNod
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Sequence
 from functools import partial
@@ -106,6 +107,7 @@ class Stages:
                 get(turns, number, loop)
                 self._run(0, executor.wakeup(0.0), turns, loop)
                 release_compiler()
+                gc.freeze()  # what has come with it is looked through at every collection else
                 self._like = loop
             elif put(turns, number, loop, loop if not self._lent else self._like):
                 readers = [run.reader for run in runs]
