@@ -305,14 +305,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     A single loop, before the others, is not asked whether it makes the amplitude fall.
     """
     faults, good = [], CONVERGENCE.good
-    # the final map: the loops belong to it, the holds after them, and what earlier rounds knew
-    levels = [(run.amplitude, run.doubt) for run in runs]
-    levels += [(run.held, run.held_doubt) for run in runs if run.held is not None]
-    final = min(
-        aim.sense * aim.best,
-        aim.known,
-        *(aim.sense * math.log(amplitude) + doubt for amplitude, doubt in levels),
-    )
+    final, _ = _find_best(aim, runs)
 
     def most(amplitude: float, doubt: float) -> float:
         worse = math.log(amplitude) + aim.sense * aim.settings.sure * math.hypot(doubt, aim.error)
@@ -361,6 +354,20 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         if math.log(run.reduction) < -aim.settings.errors * run.error - math.log(good):
             faults.append(f"the amplitude is worse than before by {1.0 / run.reduction:.3g}")
     return faults
+
+
+def _find_best(aim: Aim, runs: Sequence[Measured]) -> tuple[float, str]:
+    """Return y of the best of the final map, and where that is, in words.
+
+    The loops belong to that map, the holds after them, and what earlier rounds knew.
+    """
+    found = [(min(aim.sense * aim.best, aim.known), f"{aim.theta}, the best of the map")]
+    for run in runs:
+        for amplitude, doubt in ((run.amplitude, run.doubt), (run.held, run.held_doubt)):
+            if amplitude is not None:
+                y = aim.sense * math.log(amplitude) + doubt
+                found.append((y, f"{spell(run.theta)}, the best known ({amplitude:.3g})"))
+    return min(found)
 
 
 def _least_before(aim: Aim, run: Measured) -> float:
@@ -420,12 +427,10 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
     faults, goal = find_faults(aim, runs), spell_goal(aim.sense)
     worse = [text for run in runs for text in find_disagreements(aim, run)]
     if faults:
-        advice = (
-            f"leave theta at {aim.theta}, the best of the map, or set theta_min and theta_max "
-            "closer around it and choose another --out"
-        )
-        if faults[0] == LITTLE:
-            advice = f"leave theta at {aim.theta}, the best of the map, or widen its limits"
+        advice = f"leave theta at {_find_best(aim, runs)[1]}, or " + (
+            "widen its limits" if faults[0] == LITTLE else
+            "set theta_min and theta_max closer around it and choose another --out"
+        )  # fmt: skip
         if any(_is_new(aim, run) for run in runs):
             advice = "the map lacks that: leave theta at theta_safe"
         answer = (
