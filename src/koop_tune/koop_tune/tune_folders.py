@@ -59,8 +59,8 @@ def tune_folders(
     lines = {line.knob: rig.u(line.theta) for line in excitation.sections}
     try:
         tuned = tune_knobs(
-            loaded, rig, lines, BagTraining(reading), excitation.amplitude, settings,
-            lambda step: print(f"finding {step}", flush=True), excitation.safe,
+            loaded, rig, lines, excitation.arrays(rig), BagTraining(reading), excitation.amplitude,
+            settings, lambda step: print(f"finding {step}", flush=True), excitation.safe,
         )  # fmt: skip
     except NoOptimum as refusal:
         result = summarise_refusal(refusal)

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,9 +19,8 @@ from koop_tune.excitation.static_map import StaticMap
 from koop_tune.result.as_text import list_parameters
 from koop_tune.result.summary import summarise
 from koop_tune.rig_model.dwells import DWELLS, find_dwells
-from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.settings import TuningSettings
-from koop_tune.search.tune_knobs import KnobsTuning, cut_section, tune_knobs
+from koop_tune.search.tune_knobs import cut_section, tune_knobs
 
 KNOBS = replace(
     RIG, command="/b:z[0],z[1]", theta_min=(-1.0, 0.1), theta_max=(3.0, 10.0), theta_rate=0.5,
@@ -92,7 +90,9 @@ def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled,
         return replace(find_dwells(part, scale, *rest), growth=70.0 if scale.low < 0.0 else 90.0)
 
     monkeypatch.setattr("koop_tune.search.tune_knobs.find_dwells", grows)
-    tuning = tune_knobs(rig.loaded, KNOBS, design.lines, TRAINING, design.amplitude, SETTINGS)
+    tuning = tune_knobs(
+        rig.loaded, KNOBS, design.lines, design.arrays, TRAINING, design.amplitude, SETTINGS
+    )
     assert summarise(tuning).make_aim(KNOBS).growth == 90.0  # failed before: of one section only
     reason = list_parameters(tuning, None)["relay_esc"]["step_size"][1]
     assert reason.startswith("each goes from limit to limit within ")
@@ -113,6 +113,7 @@ def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled,
         factor = np.exp(ends - tuning.sections[knob].least)
         assert factor == pytest.approx(math.sqrt(1.0 + 0.5 * (1.3**2 - 1.0)), abs=0.03)
     assert list(tuning.sections) == [0, 1]
+    assert tuning.prediction.reduction.low > 1.0  # failed before: not predicted
     steps = np.array(tuning.esc.step_size) / [limit.high - limit.low for limit in limits]
     assert steps[0] == pytest.approx(steps[1], rel=0.01)  # three digits
     assert tuning.esc.theta_min == tuple(limit.low for limit in limits)
@@ -136,7 +137,9 @@ def test_an_optimum_beyond_a_line_between_knobs_is_sought_on_the_line():
     best = min(diagonal(each) for each in u[keeps])
     assert best > math.log(1.3)  # of 1 beyond it
     assert diagonal(design.base) - best < math.log(1.15)
-    tuning = tune_knobs(rig.loaded, file, design.lines, TRAINING, design.amplitude, SETTINGS)
+    tuning = tune_knobs(
+        rig.loaded, file, design.lines, design.arrays, TRAINING, design.amplitude, SETTINGS
+    )
     esc = tuning.esc
     assert (esc.constraint, esc.theta_scale) == ("-1 theta[0] -0.5 theta[1] <= -2", "linear")
     low, high = np.array(esc.theta_min), np.array(esc.theta_max)
@@ -281,16 +284,6 @@ def test_a_section_in_which_a_coarse_sensor_reads_one_value_has_no_effect():
     for level, effect in ((0.0 * u, False), (0.5 * u, True)):
         design.section = lambda knob, y=level: StaticMap(u, y, 0.0 * u)
         assert design._has_effect(0) == effect
-
-
-def test_a_loop_of_several_knobs_lasts_until_it_should_have_converged():
-    """Failed before: "did not converge, at most 280 s were predicted", of a loop of 200 s."""
-    band = Band(10.0, 40.0, 70.0)
-    one = SimpleNamespace(prediction=Prediction(band, band, band, band, 100.0, 32))
-    prediction = KnobsTuning(KNOBS, 0, one, {0: None, 1: None}, {}, [], None).prediction
-    assert (prediction.converges.high, prediction.duration) == (280.0, 280.0)
-    one.prediction = replace(one.prediction, converges=Band(10.0, 20.0, 30.0))
-    assert KnobsTuning(KNOBS, 0, one, {0: None, 1: None}, {}, [], None).prediction.duration == 200.0
 
 
 def test_where_no_knob_has_an_effect_that_is_said():

@@ -123,7 +123,7 @@ def test_a_run_is_judged_by_its_second_half_and_when_it_came_near(sense):
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     u[:120], u[120:] = 0.0, BEST + 0.1
     power[:] = np.exp(2.0 * sense * valley(u))
-    actual = judge_run(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0)
+    actual = judge_run(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0, 0.0)
     late = np.r_[np.full(20, valley(0.0)), np.full(80, valley(BEST + 0.1))]
     excess = sense * 0.5 * math.log(np.mean(np.exp(2.0 * sense * late)))
     assert math.log(actual.excess) == pytest.approx(excess, abs=0.01)
@@ -132,7 +132,7 @@ def test_a_run_is_judged_by_its_second_half_and_when_it_came_near(sense):
     assert math.log(actual.reduction) == pytest.approx(valley(0.0) - excess, abs=0.01)
     assert actual.score == pytest.approx(excess + 0.15 * 121 / 200, abs=0.01)
     power[:] = power[0]
-    never = judge_run(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0)
+    never = judge_run(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0, 0.0)
     assert never.converged == math.inf
     assert never.score == pytest.approx(valley(0.0) + 0.3, abs=0.01)
 

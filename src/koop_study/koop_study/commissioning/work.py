@@ -121,7 +121,9 @@ def commissioned(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )
         training = training_of(rig)
-        tuned = tune_knobs(loaded, file, design.lines, training, design.amplitude, settings)
+        tuned = tune_knobs(
+            loaded, file, design.lines, design.arrays, training, design.amplitude, settings
+        )
         tuning = tuned.tuning
         passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
         aim = inform(summarise(tuned).make_aim(file), rounds)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
+from koop_core.borrowed import borrowed
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from koop_identify.recording.loaded import Loaded, list_segments
@@ -34,9 +35,10 @@ from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells
 from koop_tune.rig_model.fluctuation import FLUCTUATION, fit_fluctuation
 from koopman_lifter import cost
-from koopman_lifter.cost import DetectorParams
-from relay_esc import barrier
+from koopman_lifter.cost import DetectorParams, DetectorState
+from relay_esc import barrier, directions
 from relay_esc.barrier import BarrierParams
+from relay_esc.directions import DirectionState, Knobs
 from relay_esc.relay import RelayParams, RelayState
 
 PLACES = 16  # that are looked at for one where y_out is about the same
@@ -56,6 +58,41 @@ class Times(NamedTuple):
         return math.exp(
             self.usual + self.slope * (a - self.middle) + (1 if rises else -1) * self.up
         )
+
+
+class Playing(NamedTuple):
+    """A surrogate at a time: l and a, and where its y_out is played from."""
+
+    level: float
+    amplitude: float
+    value: int
+    number: int
+    segment: int
+    place: int
+
+
+class KnobsBowl(NamedTuple):
+    """How far n knobs are from their best: |B (v - v*)| of the positions v of all knobs.
+
+    Attributes
+    ----------
+    low, high, logarithmic : ndarray, shape (n,)
+        Range of each knob, and whether positions are on a scale of its logarithm.
+    best : ndarray, shape (n,)
+        v*.
+    root : ndarray, shape (n, n)
+        B.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    logarithmic: NDArray[np.bool_]
+    best: NDArray[np.float64]
+    root: NDArray[np.float64]
+
+    def distance(self, v: NDArray[np.float64]) -> float:
+        """Return it at positions, shape (n,)."""
+        return float(np.linalg.norm(self.root @ (v - self.best)))
 
 
 class Surrogate(NamedTuple):
@@ -192,10 +229,10 @@ def _at(values: NDArray[np.float64], u: float) -> float:
 
 
 @njit()
-def _position(s: Surrogate, theta: float) -> float:
-    if s.logarithmic:
-        return math.log(theta / s.low) / math.log(s.high / s.low)
-    return (theta - s.low) / (s.high - s.low)
+def _position(low: float, high: float, logarithmic: bool, theta: float) -> float:
+    if logarithmic:
+        return math.log(theta / low) / math.log(high / low)
+    return (theta - low) / (high - low)
 
 
 @njit()
@@ -223,6 +260,54 @@ def _next_place(
         if far < best:
             best, segment, place = far, candidate, at
     return segment, place
+
+
+@njit(inline="always")
+def _settle(
+    s: Surrogate, start: float, position: float, draws: NDArray[np.float64]
+) -> Playing:  # fmt: skip
+    """Return a rig that has settled at ``start``, with theta at a position."""
+    value = _nearest(s.u, position)
+    segment, place = _next_place(s, value, 0.0, draws, 0)
+    return Playing(_at(s.levels, start), _at(s.amplitudes, start), value, 0, segment, place)
+
+
+@njit(inline="always")
+def _play(s: Surrogate, p: Playing) -> float:
+    """Return y_out."""
+    return math.exp(p.level - s.recorded[p.value]) * s.y[p.place]
+
+
+@njit(inline="always")
+def _advance(
+    s: Surrogate, p: Playing, y: float, moved: float, draws: NDArray[np.float64]
+) -> Playing:  # fmt: skip
+    """Return the rig after a sample of y_out at a position."""
+    aim, target = _at(s.levels, moved), _at(s.amplitudes, moved)
+    rate = _rate(s.times, s.dt, target, p.amplitude)
+    level = p.level + (aim - p.level) * rate
+    amplitude = p.amplitude + (target - p.amplitude) * rate
+    value, number, segment, place = p.value, p.number, p.segment, p.place + 1
+    near = value
+    if abs(s.u[value] - moved) > 0.01:
+        near = _nearest(s.u, min(max(moved, 0.0), 1.0))
+        if abs(s.u[near] - moved) > abs(s.u[value] - moved) - 0.01:
+            near = value
+    if near != value or place >= s.begins[segment + 1]:
+        number += 2 * PLACES
+        wanted = y * math.exp(s.recorded[near] - level)
+        segment, place = _next_place(s, near, wanted, draws, number)
+        value = near
+    return Playing(level, amplitude, value, number, segment, place)
+
+
+@njit(inline="always")
+def _hear(
+    s: Surrogate, detector: DetectorParams, state: DetectorState, arrival: int, y: float
+) -> tuple[float, DetectorState]:
+    """Return the cost of y_out."""
+    # a filter without memory makes of this sum what is added
+    return cost.follow(detector, state, arrival, state.y_previous + y if s.coarse else y)
 
 
 @njit(nogil=True)
@@ -263,48 +348,81 @@ def run(
     bound, edge : BarrierParams, float
         Barrier of a constraint, and where its margin is 0 [the controller's u].
     """
+    s, draws = borrowed(s), borrowed(draws)
     margins = barrier.UNKNOWN
     cost_state = cost.initial()
-    position = _position(s, state.output)
-    level, a = _at(s.levels, start), _at(s.amplitudes, start)
-    value = _nearest(s.u, position)
-    number = 0
-    segment, place = _next_place(s, value, 0.0, draws, number)
+    position = _position(s.low, s.high, s.logarithmic, state.output)
+    playing = _settle(s, start, position, draws)
     u[:] = 0.0
     power[:] = 0.0
     block = steps / u.size
     for k in range(steps):
         arrival = Arrival.JOIN if k == 0 else Arrival.NEXT
-        gain = math.exp(level - s.recorded[value])
-        y = gain * s.y[place]
-        # a filter without memory makes of this sum what is added
-        r, cost_state = cost.follow(
-            detector, cost_state, arrival, cost_state.y_previous + y if s.coarse else y
-        )
+        y = _play(s, playing)
+        r, cost_state = _hear(s, detector, cost_state, arrival, y)
         state, margins, _, _ = barrier.answer(
             params, bound, state, margins, arrival, False, cost_state.settling > 0, r, False,
             bound.slope * (state.commanded - edge),
         )  # fmt: skip
-        position = _position(s, state.output)
-        moved = position - drift * k
-        aim = _at(s.levels, moved)
-        target = _at(s.amplitudes, moved)
-        rate = _rate(s.times, s.dt, target, a)
-        level += (aim - level) * rate
-        a += (target - a) * rate
+        moved = _position(s.low, s.high, s.logarithmic, state.output) - drift * k
+        playing = _advance(s, playing, y, moved, draws)
         i = min(int(k / block), u.size - 1)
         u[i] += moved
-        power[i] += math.exp(2.0 * a)
-        place += 1
-        near = value
-        if abs(s.u[value] - moved) > 0.01:
-            near = _nearest(s.u, min(max(moved, 0.0), 1.0))
-            if abs(s.u[near] - moved) > abs(s.u[value] - moved) - 0.01:
-                near = value
-        if near != value or place >= s.begins[segment + 1]:
-            number += 2 * PLACES
-            wanted = y * math.exp(s.recorded[near] - level)
-            segment, place = _next_place(s, near, wanted, draws, number)
-            value = near
+        power[i] += math.exp(2.0 * playing.amplitude)
     u /= block
+    power /= block
+
+
+@njit(nogil=True)
+def run_knobs(
+    s: Surrogate,
+    bowl: KnobsBowl,
+    detector: DetectorParams,
+    params: RelayParams,
+    limits: Knobs,
+    state: DirectionState,
+    steps: int,
+    drift: NDArray[np.float64],
+    start: float,
+    draws: NDArray[np.float64],
+    away: NDArray[np.float64],
+    power: NDArray[np.float64],
+) -> None:
+    """Close the loop of several knobs as :func:`run` does.
+
+    ``s`` is a rig over how far all knobs are from the best, ``bowl`` says how far; ``drift`` has
+    the shape (n,), and ``away``, shape (n, BLOCKS), receives how far each knob is.
+    """
+    s, draws, bowl, limits, state = (
+        borrowed(s),
+        borrowed(draws),
+        borrowed(bowl),
+        borrowed(limits),
+        borrowed(state),
+    )
+    cost_state = cost.initial()
+    n = drift.size
+    off = np.empty(n)
+    playing = _settle(s, start, start, draws)
+    away[:] = 0.0
+    power[:] = 0.0
+    block = steps / power.size
+    for k in range(steps):
+        arrival = Arrival.JOIN if k == 0 else Arrival.NEXT
+        y = _play(s, playing)
+        r, cost_state = _hear(s, detector, cost_state, arrival, y)
+        state, _, _ = directions.answer(
+            params, limits, state, arrival, False, cost_state.settling > 0, r, False
+        )
+        i = min(int(k / block), power.size - 1)
+        for j in range(n):
+            position = _position(bowl.low[j], bowl.high[j], bowl.logarithmic[j], state.theta[j])
+            off[j] = position - bowl.best[j] - drift[j] * k
+            away[j, i] += abs(off[j])
+        square = 0.0
+        for j in range(n):
+            square += directions.product(bowl.root[j], off) ** 2
+        playing = _advance(s, playing, y, math.sqrt(square), draws)
+        power[i] += math.exp(2.0 * playing.amplitude)
+    away /= block
     power /= block

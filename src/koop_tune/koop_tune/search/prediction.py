@@ -38,8 +38,6 @@ class Band:
         >>> Band(10.0, 20.0, math.inf).as_text()
         '20 (10 to never)'
         """
-        if self.low == 0.0 and math.isinf(self.high):
-            return "not predicted"
         low, middle, high = (
             "never" if math.isinf(value) else f"{unit * value:.3g}"
             for value in (self.low, self.middle, self.high)
@@ -78,17 +76,23 @@ class Prediction:
 def predict(
     task: Task, trial: Trial, findings: Findings, seed: int, count: int
 ) -> tuple[Prediction, list[Outcome]]:
-    """Run the chosen constants some times, with fresh random numbers.
+    """Run the chosen constants some times, with fresh random numbers."""
+    runs = [try_out(task, trial.constants, n, seed) for n in range(count)]
+    return describe_runs(task, runs, findings, seed), runs
+
+
+def describe_runs(task: Task, runs: list[Outcome], findings: Findings, seed: int) -> Prediction:
+    """Return the bands of some runs.
 
     What the amplitude of a time as long as half a run differs by itself, and the error of the best
     one, widen the bands.
     """
-    runs = [try_out(task, trial.constants, n, seed) for n in range(count)]
+    count = len(runs)
     wander = find_wander(findings.dwells, 0.5 * task.steps)
     error = float(findings.static_map.deviation[round(findings.static_map.best() * (GRID - 1))])
     rng = np.random.default_rng(seed)
     noise = np.exp(math.hypot(wander, error) * rng.standard_normal(count)).tolist()
-    prediction = Prediction(
+    return Prediction(
         Band.of([o.converged for o in runs]),
         Band.of([o.distance for o in runs]),
         Band.of([o.excess * e for o, e in zip(runs, noise, strict=True)]),
@@ -96,7 +100,6 @@ def predict(
         task.steps * task.dt,
         count,
     )
-    return prediction, runs
 
 
 def find_wander(dwells: Dwells, samples: float) -> float:

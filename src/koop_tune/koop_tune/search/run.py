@@ -199,13 +199,14 @@ def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True)
         esc.barrier(s.dt),
         task.edge,
     )
-    return judge_run(task, s, u, power, steps * s.dt)
+    return judge_run(task, s, u, power, steps * s.dt, float(end))
 
 
 def judge_run(
-    task: Task, s: Surrogate, u: NDArray[np.float64], power: NDArray[np.float64], time: float
-) -> Outcome:
-    """Judge a run of a time [s]."""
+    task: Task, s: Surrogate, u: NDArray[np.float64], power: NDArray[np.float64], time: float,
+    begin: float,
+) -> Outcome:  # fmt: skip
+    """Judge a run of a time [s], of a rig that had settled at a position."""
     maps = task.sense * s.amplitudes
     low, high = task.scale.u(np.array([task.low, task.high])) * (maps.size - 1)
     first = math.ceil(low)
@@ -217,7 +218,7 @@ def judge_run(
     inside = np.flatnonzero(logs <= CONVERGENCE.bound(worst - best))
     share = (inside[0] + 1) / BLOCKS if inside.size else 2.0
     distance = float(np.abs(np.clip(u, 0.0, 1.0)[half:] - i / (s.amplitudes.size - 1)).mean())
-    start = 0.5 * task.sense * math.log(float(power[0])) - best
+    start = float(np.interp(begin, np.linspace(0.0, 1.0, maps.size), maps)) - best
     return Outcome(
         math.exp(late),
         share * time if inside.size else math.inf,

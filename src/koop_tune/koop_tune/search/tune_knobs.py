@@ -4,7 +4,7 @@ A rig with one knob has one section. With several, the search is that of one kno
 that shows the optimum best. The others follow from their limits: in units of the way between its
 limits each section rises alike, to the same factor of the best at both of them, so all knobs cross
 that way in the same time. The controller seeks along one direction after another
-(:mod:`relay_esc.directions`), so all takes longer: see :attr:`KnobsTuning.prediction`.
+(:mod:`relay_esc.directions`): its loop is predicted by runs of it (:mod:`.run_knobs`).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from koop_identify.model.compare import energies
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.bowl import find_starts, fit_bowl
 from koop_tune.excitation.knobs_design import KNOBS
 from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.excitation.static_map import StaticMap
@@ -29,8 +30,9 @@ from koop_tune.rig_model.dwells import Dwells, find_dwells
 from koop_tune.rig_model.surrogate import high_pass
 from koop_tune.search.findings import STRONGER, CostMaps, NoOptimum
 from koop_tune.search.limits import ThetaLimits, limit_theta
-from koop_tune.search.prediction import Band, Prediction
+from koop_tune.search.prediction import Prediction, describe_runs
 from koop_tune.search.run import make_esc, round_digits
+from koop_tune.search.run_knobs import make_knobs_task
 from koop_tune.search.settings import TUNING, TuningSettings
 from koop_tune.search.tuning import Report, Tuning, tune
 from relay_esc.config import EscConfig
@@ -56,6 +58,8 @@ class KnobsTuning:
         Of each knob; of one without effect, close around its start.
     esc : EscConfig
         The controller.
+    prediction : Prediction
+        Figures of its loop.
     """
 
     rig: RigFile
@@ -65,45 +69,20 @@ class KnobsTuning:
     rigs: dict[int, RigFile]
     limits: list[ThetaLimits]
     esc: EscConfig
+    prediction: Prediction
 
     @classmethod
     def of_one(cls, rig: RigFile, tuning: Tuning) -> KnobsTuning:
         """Return that of a rig with one knob."""
         findings = tuning.findings
         esc = make_esc(tuning.task, tuning.best.constants, rig.theta_safe)
-        return cls(rig, 0, tuning, {0: findings.static_map}, {0: rig}, [findings.limits], esc)
-
-    @property
-    def prediction(self) -> Prediction:
-        """Figures of the loop.
-
-        One direction after another is sought along, each twice as long as one knob alone, for the
-        first that it finds are not yet the valley's (paper's plant, median IAE of one knob 255, of
-        two 989, of four 1953: 2 n times). What each adds to the amplitude adds up. What the other
-        knobs reduce is not predicted. A loop lasts at least until it should have converged.
-        """
-        p, n = self.tuning.prediction, len(self.sections)
-        if self.rig.count == 1:
-            return p
-        converges = _scaled(p.converges, 2 * n if n > 1 else 1)
-        late = converges.high if math.isfinite(converges.high) else 0.0
-        return Prediction(
-            converges, p.distance, _power(p.excess, n), Band(0.0, 1.0, math.inf),
-            max(n * p.duration, late), p.runs,
-        )  # fmt: skip
-
-
-def _scaled(band: Band, factor: float) -> Band:
-    return Band(factor * band.low, factor * band.middle, factor * band.high)
-
-
-def _power(band: Band, n: int) -> Band:
-    return Band(band.low**n, band.middle**n, band.high**n)
+        sections, limits = {0: findings.static_map}, [findings.limits]
+        return cls(rig, 0, tuning, sections, {0: rig}, limits, esc, tuning.prediction)
 
 
 def tune_knobs(
-    loaded: Loaded, rig: RigFile, lines: Mapping[int, Array], training: BagTraining,
-    amplitude: Amplitude | None, settings: TuningSettings = TUNING,
+    loaded: Loaded, rig: RigFile, lines: Mapping[int, Array], holds: tuple[Array, Array, Array],
+    training: BagTraining, amplitude: Amplitude | None, settings: TuningSettings = TUNING,
     report: Report = lambda step: None, safe: SafeRange | None = None,
 ) -> KnobsTuning:  # fmt: skip
     """Choose the cost and all constants of a controller.
@@ -116,6 +95,8 @@ def tune_knobs(
         Limits, rates, objective, dt.
     lines : mapping of int to ndarray, shape (n,)
         With several knobs, a position of the section of each that has an effect.
+    holds : tuple of ndarray
+        Positions, y and errors of the excitation's, as of :func:`.fit_bowl`.
     training, amplitude, settings, report, safe
         As of :func:`koop_tune.search.tuning.tune`.
 
@@ -173,7 +154,19 @@ def tune_knobs(
         low, high = min(limit.low, *places[:, k]), max(limit.high, *places[:, k])
         limits[k] = limit._replace(low=float(low), high=float(high))
     esc = _make_esc(tuning, rig, knob, ends, limits)
-    return KnobsTuning(rig, knob, tuning, sections, rigs, limits, esc)
+    u, y, error = holds
+    effective = sorted(sections)
+    best = rig.u(rig.each("theta_start"))
+    for k, one in rigs.items():
+        best[k] = rig.scales[k].u(np.array(one.scale.theta_at(sections[k].best())))
+    bowl = fit_bowl(u[:, effective], y, error)
+    several = make_knobs_task(
+        tuning.task, rig, knob, rigs[knob].scale, best, bowl, effective, find_starts(rig, *holds)
+    )
+    seed, constants = settings.seed + 1, tuning.best.constants
+    runs = [several.try_out(esc, constants, i, seed) for i in range(settings.runs)]
+    prediction = describe_runs(several.task, runs, tuning.findings, seed)
+    return KnobsTuning(rig, knob, tuning, sections, rigs, limits, esc, prediction)
 
 
 def _find_safe(whole: RigFile, part: RigFile) -> SafeRange | None:
