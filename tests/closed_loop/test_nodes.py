@@ -416,6 +416,41 @@ def test_the_first_state_waits_for_no_compilation():
     assert done.returncode == 0, done.stderr
 
 
+NO_TRIAL = """
+import rclpy
+from rclpy.parameter import Parameter
+from koopman_lifter.change import Change
+from koopman_lifter.node import LifterNode
+from koopman_lifter.search import Outcome
+
+class Done:
+    def outcome(self):
+        return Outcome("better", "/nowhere.npz")
+
+    def close(self):
+        pass
+
+rclpy.init()
+node = LifterNode(parameter_overrides=[Parameter("adapt", value="always")])
+node.trigger_configure()
+run = node.run
+run._watch.senses = run._watch.senses._replace(threshold=1.0)
+run._change, run._search, used = Change(1.0, 1.2), Done(), run._loaded.id
+run._seek_model()
+assert run._loaded.id == used
+assert run._trial is None, "what is not used is on trial"
+"""
+
+
+@pytest.mark.ros
+def test_a_better_model_that_is_refused_is_not_on_trial():
+    """Failed before: what followed was judged as the refused model's."""
+    done = subprocess.run([sys.executable, "-c", NO_TRIAL], stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "model /nowhere.npz is not used: " in done.stderr
+    assert "on trial" not in done.stderr
+
+
 def swinging(hertz, tone, periods):
     """Return an oscillation that is sought up and down, in interference, and its amplitude."""
     t = 0.05 * np.arange(round(periods / (hertz * 0.05)))

@@ -379,10 +379,10 @@ class LifterRun(Run):
                 logger.info(f"no better model yet: {outcome.text}")
                 return
             if config.adapt == "always":
-                logger.warning(f"{outcome.text}: in use from now on, on trial")
-                self._set("model", outcome.file)
-                self._trial = trial
-                self._kept = candidate.room(self._n, trial.samples.steps.size)
+                if self._set("model", outcome.file):
+                    logger.warning(f"{outcome.text}: in use from now on, on trial")
+                    self._trial = trial
+                    self._kept = candidate.room(self._n, trial.samples.steps.size)
                 return
             self._proposed = outcome.file
             name = self._node.get_fully_qualified_name()
@@ -411,11 +411,12 @@ class LifterRun(Run):
         else:
             logger.info(f"{text}, which stays in use")
 
-    def _set(self, name: str, value: object) -> None:
+    def _set(self, name: str, value: object) -> bool:
         """Set a parameter, as an operator does: between two samples, recorded and replayed."""
         (result,) = self._node.set_parameters([Parameter(name, value=value)])
         if not result.successful:
             self._node.get_logger().error(f"{name} {value} is not used: {result.reason}")
+        return bool(result.successful)
 
     def _use(self, model: KoopmanModel | None) -> None:
         self._loaded = LoadedModel(model)
