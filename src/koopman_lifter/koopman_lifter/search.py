@@ -14,6 +14,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,36 +45,47 @@ class Search:
     def __init__(
         self, model: KoopmanModel, path: Path, samples: Samples, frequency: float, omega_h: float
     ) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
         words = [str(path), model.model_id, repr(frequency), repr(omega_h)]
+        self._lock, self._closed = threading.Lock(), False
+        self._process: subprocess.Popen[bytes] | None = None
+        self._outcome: Outcome | None = None
+        threading.Thread(target=self._run, args=(words, samples), daemon=True).start()
+
+    def _run(self, words: list[str], samples: Samples) -> None:
+        """Copy the samples, which takes long, beside the loop, and without the interpreter lock."""
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # of this thread
         try:
-            with tempfile.TemporaryFile() as file:
-                np.savez(file, allow_pickle=False, **samples._asdict())
+            with tempfile.TemporaryFile(buffering=0) as file:
+                for array in samples:
+                    np.save(file, array, allow_pickle=False)
                 file.seek(0)
-                self._process = subprocess.Popen(
-                    [sys.executable, "-m", __name__, *words],
-                    stdin=file,
-                    stdout=subprocess.PIPE,
-                    env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-                )
+                with self._lock:
+                    if self._closed:
+                        return
+                    self._process = subprocess.Popen(
+                        [sys.executable, "-m", __name__, *words],
+                        stdin=file,
+                        stdout=subprocess.PIPE,
+                        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+                    )
         except OSError as error:  # as on a full disk, which ends no loop
-            self._problem = f"it cannot be looked for: {error}"
+            self._outcome = Outcome(f"it cannot be looked for: {error}")
+            return
+        printed, _ = self._process.communicate()
+        failed = self._process.returncode
+        self._outcome = (
+            Outcome(f"failed with code {failed}") if failed else Outcome(**json.loads(printed))
+        )
 
     def outcome(self) -> Outcome | None:
         """Return what was found; None while it is looked for."""
-        if self._process is None:
-            return Outcome(self._problem)
-        if self._process.poll() is None:
-            return None
-        with self._process:
-            printed, _ = self._process.communicate()
-        failed = self._process.returncode
-        return Outcome(f"failed with code {failed}") if failed else Outcome(**json.loads(printed))
+        return self._outcome
 
     def close(self) -> None:
         """End it."""
-        if self._process is not None:
-            with self._process:
+        with self._lock:
+            self._closed = True
+            if self._process is not None:
                 self._process.kill()
 
 
@@ -103,7 +115,7 @@ def main(path: str, model_id: str, frequency: str, omega_h: str) -> None:
     """Search with the samples on standard input; print the outcome as JSON."""
     os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     os.nice(LOWEST)
-    samples = Samples(**np.load(io.BytesIO(sys.stdin.buffer.read()), allow_pickle=False))
+    samples = Samples(*(np.load(sys.stdin.buffer, allow_pickle=False) for _ in Samples._fields))
     try:
         outcome = find_model(Path(path), model_id, samples, float(frequency), float(omega_h))
     except KoopError as error:

@@ -187,5 +187,15 @@ def test_a_search_for_which_the_disk_has_no_room_says_so(tmp_path, monkeypatch):
     """Failed before: the lifter ended, and the loop with it."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "no"))
     search = Search(before(), tmp_path / "model.npz", samples_of(np.ones((9, 1))), 1.3, OMEGA_H)
-    assert "it cannot be looked for: [Errno 2]" in search.outcome().text
+    assert "it cannot be looked for: [Errno 2]" in wait_for(search).text
     search.close()
+
+
+def test_a_search_keeps_who_starts_it_but_for_a_moment(tmp_path):
+    """Failed before: of a slow oscillation it copied the samples first, and no state was heard."""
+    model, samples = before(), room(2, size_of(1.0, 1.0 / 5000.0))
+    samples.states[:], samples.steps[:] = 1.0, 1
+    begin = time.thread_time()  # on a busy machine, too
+    search = Search(model, tmp_path / "no.npz", samples, 1.0, OMEGA_H)
+    assert time.thread_time() - begin < 0.005
+    assert "no.npz: cannot be read" in wait_for(search).text
