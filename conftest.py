@@ -23,7 +23,8 @@ gc.disable()  # until all that tests import is there
 # inherits that: the tests of Ctrl-C would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-LONG = ("tests/", "src/koop_study/", "src/koop_tune/", "src/koop_bag/")
+LONG = ("tests/commission/test_guard.py", "tests/commission/", "tests/", "src/koop_study/",
+        "src/koop_tune/", "src/koop_bag/")  # fmt: skip
 
 NO_DOMAIN = "none: the test is not marked 'ros'"  # with which no node can start
 os.environ["ROS_DOMAIN_ID"] = NO_DOMAIN
@@ -34,8 +35,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 @pytest.hookimpl(optionalhook=True)  # there may be no xdist
 def pytest_xdist_auto_num_workers() -> int:
-    """Two workers a processor: most tests wait for their nodes half of the time."""
-    return 2 * len(os.sched_getaffinity(0))
+    """Three workers a processor: most tests wait for their nodes two thirds of the time."""
+    return 3 * len(os.sched_getaffinity(0))
 
 
 @pytest.fixture(scope="session")
@@ -74,7 +75,7 @@ def domain_of_the_marked(request: pytest.FixtureRequest) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what asks for a domain; the long files come first."""
-    items.sort(key=lambda item: not item.nodeid.startswith(LONG))
+    items.sort(key=lambda item: [not item.nodeid.startswith(start) for start in LONG])
     for item in items:
         if {"own_domain", "module_domain"} & set(getattr(item, "fixturenames", ())):
             item.add_marker("ros")
