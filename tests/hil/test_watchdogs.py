@@ -1,6 +1,7 @@
 """Watchdogs and /diagnostics of the nodes as processes: silence, disorder, a second publisher."""
 
 import math
+import re
 from itertools import count, pairwise
 
 import pytest
@@ -175,7 +176,7 @@ def test_a_cost_that_has_risen_for_good_is_reported(start, probe, reports):
     start("relay_esc", dwell=0.05, listeners="probe")
     answers = probe.collect(ControlInput, "theta")
     cost, steps = probe.publisher(Cost, "cost"), count()
-    said = "times the least of this run: the optimum may have moved"
+    said = r"the cost is (\S+) times the least of this run: the optimum may have moved"
 
     def send(samples, r):
         for k in (next(steps) for _ in range(samples)):
@@ -183,14 +184,18 @@ def test_a_cost_that_has_risen_for_good_is_reported(start, probe, reports):
         probe.spin_until(lambda: answers[-1:] and answers[-1].step == k, "the answers")
 
     def reported():
-        return any(said in s.message for array in reports.arrays for s in array.status)
+        messages = (s.message for array in reports.arrays for s in array.status)
+        return [float(rise) for text in messages for rise in re.findall(said, text)]
 
-    for _ in range(20):  # a window is of 200 dwell times, at least 2000 samples
+    for _ in range(80):  # a window is of 200 dwell times, at least 2000 samples
         send(100, 1.0)
+    for _ in range(20):
+        send(100, 1e-9)  # the rig is off
     assert not reported()
     for _ in range(20):
         send(100, 5.0)
     probe.spin_until(lambda: send(1, 5.0) or reported(), "the finding")
+    assert 3.0 < reported()[0] <= 5.0
 
 
 def test_a_reset_ramps_theta_back_at_the_rate_limit(start, probe):

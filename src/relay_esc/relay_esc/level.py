@@ -1,7 +1,9 @@
 """Whether the cost has risen for good: the optimum has moved, and theta did not follow.
 
 The mean of r over windows of so many dwell times that neither the controller's own swing nor noise
-shows is compared with the best window of the run.
+shows is compared with the best window of the run. A rig that is off has next to no cost, which is
+not its best: such costs are left out once a few windows are known, and where the run began with
+them, it begins anew.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import math
 from dataclasses import dataclass
 from functools import partial
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, judged, parameter
 
 simulated = partial(
     parameter,
@@ -26,6 +28,10 @@ class LevelSettings(Settings):
     window: float = simulated(200.0, "length of a window", unit="dwell", low=20.0)
     least: int = simulated(2000, "samples of a window, at least", low=20)
     risen: float = simulated(2.0, "rise over the best window", low=1.3)
+    off: float = judged(
+        1e3, "rise that no optimum causes which leaves: before, the rig was off", low=10.0
+    )
+    known: int = judged(3, "windows, in which theta arrives, until lower costs are left out", low=1)
 
 
 LEVEL = LevelSettings()
@@ -39,18 +45,27 @@ class CostLevel:
         """Mean of r over the last window over that of the best one (its inverse where r is to be
         large); NaN before there was a window."""
         self.window, self._minimise = max(round(LEVEL.window * dwell), LEVEL.least), minimise
-        self.sum, self.count, self._best = 0.0, 0, math.nan
+        self.sum, self.count, self._best, self._windows = 0.0, 0, math.nan, 0
+        self.floor = -math.inf
+        """Costs below it are left out."""
 
     def take(self, r: float) -> None:
         """Take a usable cost."""
+        if r < self.floor:
+            return
         self.sum += r
         self.count += 1
         if self.count < self.window:
             return
         level = self.sum / self.count
-        self.sum, self.count = 0.0, 0
+        self.sum, self.count, self._windows = 0.0, 0, self._windows + 1
+        if self._minimise and level > LEVEL.off * self._best:
+            self._best, self._windows, self.floor, self.rise = math.nan, 0, -math.inf, math.nan
+            return
         if math.isnan(self._best) or (level < self._best) == self._minimise:
             self._best = level
+        if self._minimise and self._windows >= LEVEL.known:
+            self.floor = self._best / LEVEL.off
         low, high = sorted((level, self._best))
         self.rise = high / low if low > 0.0 else math.nan
 

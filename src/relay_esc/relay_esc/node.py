@@ -194,7 +194,7 @@ class EscRun(Run):
         stage = ControllerStage(
             taken, given, self._input.dt, source, np.frombuffer(model_id.encode(), np.uint8),
             self._params, self._bound, self._hold_asked, level.window - 1,
-            self._input.freshness(self._lockstep),
+            level.floor, self._input.freshness(self._lockstep),
         )  # fmt: skip
         step = self._answer.step
         return stage, ControllerProgress(

@@ -55,6 +55,8 @@ class ControllerStage(NamedTuple):
     """Whether the user holds theta."""
     level_most: int
     """Costs of a window of :class:`relay_esc.level.CostLevel`, less one."""
+    level_floor: float
+    """Least cost that counts there."""
     fresh: Freshness
     """Of a cost."""
 
@@ -112,6 +114,6 @@ def answer_next(
     if not send(answer):
         return FAILED, progress
     level_sum, level_count = progress.level_sum, progress.level_count
-    if not holding:
+    if not holding and r >= stage.level_floor:
         level_sum, level_count = level_sum + r, level_count + 1
     return MORE, ControllerProgress(step, state, barrier_state, level_sum, level_count, clocks)

@@ -38,6 +38,20 @@ def test_a_cost_that_is_to_be_large_is_found_where_it_falls():
     assert fallen.startswith("the largest cost of this run was 8 times what it is now")
 
 
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-4])
+@pytest.mark.parametrize(("before", "at"), [(0, 0.0), (0, 0.3), (4, 0.0), (4, 0.7)])
+def test_a_rig_that_is_off_leaves_no_least_that_it_never_reaches_again(before, at, off):
+    """Failed before: after an hour in which the rig was off, its cost had risen for ever."""
+    watch, found = CostLevel(DWELL, minimise=True), []
+    off_from, on_from = round((before + at) * WINDOW), round((before + at + 2.2) * WINDOW)
+    for k in range(12 * WINDOW):
+        r = off if off_from <= k < on_from else (1.0 if k < 10 * WINDOW else 5.0)
+        watch.take(r * (1.2 if k % DWELL else 0.8))
+        found.append(watch.finding())
+    assert set(found[: 10 * WINDOW]) == {""}
+    assert "the cost is 5 times the least of this run" in found[-1]
+
+
 @pytest.mark.parametrize("levels", [[0.0, 0.0], [1.0, 0.0]])
 def test_a_cost_of_zero_is_no_finding(levels):
     assert findings(levels) == ["", ""]
