@@ -23,6 +23,7 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from koop_bag.bag.earlier import EarlierRuns, find_earlier
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.metadata import OfferedQos
 from koop_bag.bag.reader import BagReader
@@ -145,9 +146,10 @@ def test_a_bag_splits_by_size_and_every_file_stands_alone(write_loop):
         assert reader.message_count == sum(1 for _ in reader.messages()) == 8000
 
 
-def record(folder, n, **options):
+def record(folder, n, earlier=None, **options):
     """Write n messages of /state and, from the middle on, of /cost; yield after each second."""
-    with BagWriter(folder, WriterOptions(compression="none", **options)) as writer:
+    options = WriterOptions(compression="none", **options)
+    with BagWriter(folder, options, earlier=earlier) as writer:
         topics = {"/state": writer.add_topic("/state", load_schema(LOOP["/state"]))}
         for k in range(n):
             if k == n // 2:
@@ -265,6 +267,62 @@ def test_alarms_without_end_take_half_of_the_ring_and_the_newest_files_the_other
     assert len(set(folder.glob("alarms/*.mcap")) - set(kept)) == 2
     assert read_steps(folder)["/state"][-1] == 11_999
     assert writer.alarms_full
+
+
+def test_a_ring_holds_for_all_runs_of_a_loop_but_what_is_running_and_of_alarms(tmp_path):
+    """Failed before: a loop that was started again and again filled the disk."""
+    keep = 400_000
+
+    def run(number, name="rig", messages=2_200):
+        folder = tmp_path / f"20260101T00000{number}Z-{name}"
+        (folder / "summary").mkdir(parents=True)
+        earlier = EarlierRuns(find_earlier(folder))
+        return folder / "bag", record(folder / "bag", messages, earlier, keep_bytes=keep)
+
+    def files(*bags):
+        names = [[path.name for path in bag.rglob("*.mcap")] for bag in bags]
+        return [sorted(each, key=lambda name: (len(name), name)) for each in names]
+
+    def size(*bags):
+        return sum(path.stat().st_size for bag in bags for path in bag.rglob("*.mcap"))
+
+    other, writers = run(1, "other")
+    for _ in writers:
+        pass
+    whole, copy = files(other), tmp_path / "20260101T000002Z-rig"
+    shutil.copytree(other.parent, copy)  # of the same loop, but no ring
+    (copy / "summary").rmdir()
+    running, going_on = run(3, messages=600)
+    next(going_on)
+    untouched = files(running)
+    first, writers = run(4, messages=1_000)
+    for seconds, writer in enumerate(writers, start=1):
+        if seconds == 3:
+            writer.note_alarm()
+    states = files(first)
+    second, writers = run(5, messages=8_000)
+    for _ in writers:
+        assert size(first, second) < keep + 40_000
+        states += files(first)
+    assert files(other, copy / "bag") == 2 * whole
+    kept = states[-1]
+    assert len(kept) == 3 < len(states[0])
+    with BagReader(first) as reader:
+        steps = {m.sequence - 1 for m in reader.messages(["/state"])}
+    assert set(range(550, 650)) <= steps  # the alarm came at 600
+    for state in states:  # the oldest went first
+        gone = [name for name in states[0] if name not in state]
+        assert gone == [name for name in states[0] if name not in kept][: len(gone)]
+    assert files(running) == untouched
+    assert read_steps(second)["/state"][-1] == 7_999
+    for _ in going_on:
+        pass
+    assert read_steps(running)["/state"][-1] == 599
+    third, writers = run(6, messages=8_000)
+    for _ in writers:
+        assert size(running, first, second, third) < keep + 40_000
+    assert files(running, second) == [[], []]
+    assert files(first)[0] == kept
 
 
 FILE_EVENTS = ("os.mkdir", "os.link", "os.rename", "os.remove")

@@ -2,13 +2,14 @@
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from mcap.records import Channel, Schema
 
+from koop_bag.bag.earlier import ALARMS, NAMED, EarlierRuns, lock
 from koop_bag.bag.metadata import OfferedQos, TopicRecord, bag_map, dump
 from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError, writing
@@ -21,8 +22,6 @@ from koop_core.errors import LiveError
 Result = TypeVar("Result")
 RING = 20
 """Files of a ring and its alarms: what is dropped at once is one part of so many."""
-ALARMS = "alarms"
-"""Folder in a ring for the files around alarms: at most half of what the ring may take."""
 RESERVE = 100_000_000
 """Free space that a disk should have where no size of a file says more [B]."""
 
@@ -78,7 +77,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     Its folder is created and must not hold a bag yet; the folder's name is the bag's. The messages
     were recorded with ``ros_distro``, by default this process's. After a `BagWriteError` the bag is
     closed: everything up to the last complete chunk is on the disk, with a summary if there was
-    room for it.
+    room for it. A ring drops the files of ``earlier`` runs before its own.
     """
 
     def __init__(
@@ -86,9 +85,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         folder: str | Path,
         options: WriterOptions | None = None,
         ros_distro: str = "",
+        earlier: EarlierRuns | None = None,
     ) -> None:
         self.folder = Path(folder)
         self.options = options or WriterOptions()
+        self._earlier = earlier or EarlierRuns()
         self.custom_data: dict[str, str] = {}
         """Entries of the bag's description. Each file has those at the time of its closing;
         :meth:`keep` has it written at once."""
@@ -108,6 +109,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagWriteError(
                 f"{self.folder} already holds a bag: choose another folder, nothing is overwritten"
             )
+        self._lock = lock(self.folder) if self.options.is_ring else None
         chunk_age = int(self.options.chunk_seconds * 1e9)
         self._chunk = ChunkBuffer(self.options.compression, self.options.chunk_bytes, chunk_age)
         self._open_file()
@@ -207,6 +209,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         for record in self._files[-2:]:
             record.of_alarm = True
         self._is_alarm_file = True
+        names = [*(record.path for record in self._files[-2:]), self._name(self._opened)]
+        with suppress(OSError), open(self.folder / NAMED, "a") as file:
+            file.write(" ".join([*names, ""]))
 
     def make_room(self, free: int) -> None:
         """Drop the oldest files of a ring while its disk is nearly full.
@@ -221,7 +226,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if self._file.record.size >= 16 * options.chunk_bytes:
             self._guarded(self._next_file)
         dropped = False
-        while free < options.reserve and len(self._files) > 2:
+        while free < options.reserve and (self._earlier.files or len(self._files) > 2):
             free += self._guarded(self._drop_oldest)
             dropped = True
         if dropped:
@@ -242,12 +247,21 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._guarded(self._finish_file)
         self.closed = True
         self._write_description(self._files)
+        self._unlock()
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def _name(self, number: int) -> str:
+        return f"{self.folder.name}_{number}.mcap"
 
     def __exit__(self, *error: object) -> None:
         self.close()
 
     def _open_file(self) -> None:
-        self._file = McapFileWriter(self.folder / f"{self.folder.name}_{self._opened}.mcap")
+        self._file = McapFileWriter(self.folder / self._name(self._opened))
         self._opened += 1
         self._files.append(self._file.record)
         self._file.record.of_alarm, self._is_alarm_file = self._is_alarm_file, False
@@ -266,7 +280,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _next_file(self) -> None:
         self._finish_file()
         self._chunk.not_before = self._files[-1].end
-        while len(self._files) > 1 and self._is_too_much():
+        while (self._earlier.files or len(self._files) > 1) and self._is_too_much():
             self._drop_oldest()
         if self.options.is_ring:
             self._remove_dropped(self._files)
@@ -275,9 +289,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _is_too_much(self) -> bool:
         """Whether the closed files and one more like the last are more than is to be kept."""
         last, options = self._files[-1], self.options
-        taken = _bytes_of(self._files + self._alarms)
+        earlier = self._earlier
+        taken = _bytes_of(self._files + self._alarms) + earlier.size + earlier.kept
         too_large = 0 < options.keep_bytes < taken + last.size
-        age = last.end - self._files[0].end
+        age = last.end - (earlier.end() if earlier.files else self._files[0].end)
         return too_large or 0 < options.keep_seconds * 1e9 < age
 
     def _drop_oldest(self) -> int:
@@ -286,6 +301,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         A kill at any time leaves the file in a bag that describes it: it is gone from here only
         after it was described in `alarms/`, and after it is no longer described here.
         """
+        if self._earlier.files:
+            return self._earlier.drop()
         record = self._files.pop(0)
         path, alarms = self.folder / record.path, self.folder / ALARMS
         self._dropped.append(path)
@@ -305,7 +322,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _has_room_for(self, record: FileRecord) -> bool:
         """Whether a file around an alarm may be kept for good."""
         if self.options.keep_bytes:
-            return 2 * (_bytes_of(self._alarms) + record.size) <= self.options.keep_bytes
+            kept = _bytes_of(self._alarms) + self._earlier.kept
+            return 2 * (kept + record.size) <= self.options.keep_bytes
         return len(self._alarms) < RING // 2
 
     def _remove_dropped(self, left: Sequence[FileRecord]) -> None:
@@ -350,6 +368,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             return action()
         except BagWriteError:
             self.closed = True
+            self._unlock()
             self._chunk.clear()
             try:
                 self._finish_file()

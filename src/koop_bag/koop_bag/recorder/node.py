@@ -13,6 +13,7 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import qos_profile_parameter_events
 
+from koop_bag.bag.earlier import EarlierRuns, find_earlier
 from koop_bag.bag.losses import LossCounter, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
 from koop_bag.bag.topics import COMMON_TOPICS
@@ -87,7 +88,9 @@ class RecorderRun(Run):
                 self._add_topic(name, kind)
         self._folder = run_folder.make_run_folder(config.output)
         self._versions = run_folder.write_versions(self._folder)
-        self._writer = BagWriter(self._folder / "bag", config.writer_options())
+        options = config.writer_options()
+        earlier = EarlierRuns(find_earlier(self._folder) if options.is_ring else ())
+        self._writer = BagWriter(self._folder / "bag", options, earlier=earlier)
         if self._writer.options.is_ring:
             self._summary = SummaryWriter(self._folder)
         node.get_logger().info(f"recording to {self._folder}")

@@ -1,0 +1,89 @@
+"""The rings that earlier runs of a loop have left in folders beside this run's."""
+
+import fcntl
+import os
+import re
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+from koop_bag.bag.files import find_files
+from koop_bag.errors import BagError, writing
+
+ALARMS = "alarms"
+"""Folder in a ring for the files around alarms: at most half of what the ring may take."""
+NAMED = "alarms.txt"
+"""Names of a ring's files around alarms, which it has not moved there yet."""
+RUN = re.compile(r"\d{8}T\d{6}Z-(.+)")
+
+
+def lock(bag: Path) -> int | None:
+    """Lock a bag until the descriptor is closed; None where another process has, or none can."""
+    with suppress(OSError):
+        descriptor = os.open(bag, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return descriptor
+        except OSError:
+            os.close(descriptor)
+    return None
+
+
+class EarlierRuns:
+    """Files that a ring may drop before its own: of rings that have ended, the oldest first.
+
+    ``runs`` are their folders. What is of an alarm stays; ``kept`` are its bytes.
+    """
+
+    def __init__(self, runs: Iterable[Path] = ()) -> None:
+        self.files: list[Path] = []
+        self.size = self.kept = 0
+        for bag in (run / "bag" for run in runs):
+            self.kept += _bytes_of(bag.glob(f"{ALARMS}/*.mcap"))
+            if (descriptor := lock(bag)) is None:
+                continue
+            os.close(descriptor)
+            with suppress(BagError, OSError):
+                files, named = find_files(bag), bag / NAMED
+                of_alarm = named.read_text().split() if named.exists() else []
+                self.files += [file for file in files if file.name not in of_alarm]
+                self.kept += _bytes_of(file for file in files if file.name in of_alarm)
+        self.size = _bytes_of(self.files)
+
+    def end(self) -> int:
+        """Return when the oldest file was last written to [ns since the epoch]."""
+        with suppress(OSError):
+            return self.files[0].stat().st_mtime_ns
+        return 0
+
+    def drop(self) -> int:
+        """Remove the oldest file; return the bytes that become free."""
+        path = self.files.pop(0)
+        size = _bytes_of([path])
+        with writing(f"drop {path}"):
+            # it does not say what is there now; `koop bag recover` makes it again
+            path.with_name("metadata.yaml").unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
+        self.size -= size
+        return size
+
+
+def find_earlier(folder: Path) -> list[Path]:
+    """Return the folders of earlier runs with a ring and the name of this one, the oldest first."""
+    name = RUN.fullmatch(folder.name)
+    if name is None:
+        return []
+    return sorted(
+        run
+        for run in folder.parent.glob("*Z-*")
+        if (match := RUN.fullmatch(run.name)) and match[1] == name[1]
+        and run.name < folder.name and (run / "summary").is_dir()
+    )  # fmt: skip
+
+
+def _bytes_of(files: Iterable[Path]) -> int:
+    total = 0
+    for file in files:
+        with suppress(OSError):  # a user may have made room
+            total += file.stat().st_size
+    return total
