@@ -299,6 +299,18 @@ def test_a_damaged_bag_is_named_and_the_others_are_reported(tmp_path, capsys):
     assert "is not an MCAP file" in error
 
 
+def test_a_run_of_which_a_later_ring_has_dropped_the_files_is_reported_without_a_fault(
+    tmp_path, capsys
+):
+    run = tmp_path / "20261101T000000Z-rig"
+    write_days(run)
+    for path in (run / "bag").iterdir():
+        path.unlink()
+    assert main(["report", str(tmp_path)]) == 0
+    assert "left out" not in "".join(capsys.readouterr())
+    assert "Amplitude" in read_page(tmp_path / "history.html")[0]
+
+
 def test_a_time_before_the_clock_was_set_does_not_stretch_the_axis(tmp_path, capsys):
     boot = 30
     for run, times in (("a", (boot,)), ("b", (boot, BEGIN)), ("c", (BEGIN + 60,))):

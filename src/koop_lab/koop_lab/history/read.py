@@ -207,7 +207,7 @@ def _look_at(folder: Path, parts: _Parts) -> RunSpan:
     begin, end, closed = np.inf, 0.0, True
     for name in (SUMMARY, BAG):
         path = _find_whole(folder / name)
-        if not path.is_dir():
+        if not any(path.glob("*.mcap*")):  # a later run's ring may have dropped them
             continue
         with parts.note_damage(path), BagReader(path) as bag:
             if bag.message_count:
@@ -236,6 +236,8 @@ def _read_run(run: RunSpan, parts: _Parts) -> None:
                 parts.add(loop, from_columns(columns), columns["model_id"].tolist())
                 start = max(start, int(columns["header.stamp"][-1]) + SECOND)
     path = _find_whole(run.folder / BAG)
+    if not any(path.glob("*.mcap*")):
+        return
     with parts.note_damage(path), BagReader(path) as bag:
         with parts.note_damage(path):
             _read_events(bag, parts, start)
