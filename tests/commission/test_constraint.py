@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import signal
 from dataclasses import replace
 
@@ -34,6 +35,7 @@ def test_theta_goes_towards_the_bound_step_by_step_and_not_beyond_it(fast_rig, k
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=LONG)
     assert process.returncode == 130, error
+    assert re.search(r"< 0\.11; \d+ holds in \d+ s if it lets it go everywhere", out)
     safe = progress.load(rig, tmp_path / "run").safe
     assert EDGE < safe.low < EDGE + 0.05
     assert safe.high == pytest.approx(2.0)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koop_tune.excitation.safe_range import SAFE_RANGE, SafeRange, SafeRangeSearch
+from koop_tune.excitation.safe_range import SAFE_RANGE, SafeRange, SafeRangeSearch, forecast
 from koop_tune.rig.rig_file import RigFile
 
 LINEAR = RigFile(
@@ -40,6 +40,9 @@ def test_without_a_bound_in_reach_it_is_the_range_of_the_rig_file(rig):
     assert (safe.bound_low, safe.bound_high) == (False, False)
     assert safe.slope(rig.scale) == 0.0
     assert len(held) < 30
+    span = rig.theta_max - rig.theta_min  # up, down and back
+    seconds = len(held) * SAFE_RANGE.windows * 0.5 + 2.0 * span / rig.theta_rate
+    assert forecast(rig, 0.5) == (len(held), pytest.approx(seconds))
     assert safe.narrow(rig).theta_max == pytest.approx(rig.theta_max)
 
 

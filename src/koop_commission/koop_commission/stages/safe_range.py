@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from koop_commission.stages.session import Session
+from koop_commission.stages.session import Session, spell_time
 from koop_core.config.constraint import Constraint
 from koop_core.errors import LiveError
-from koop_tune.excitation.safe_range import SAFE_RANGE, SafeRange, SafeRangeSearch
+from koop_tune.excitation.safe_range import SAFE_RANGE, SafeRange, SafeRangeSearch, forecast
 from koop_tune.rig.rig_file import RigFile
 
 
@@ -26,9 +26,11 @@ def find_safe_range(rig: RigFile, constraint: Constraint, session: Session) -> S
     window = math.ceil(constraint.window / rig.dt)
     margins = Margins(session, window)
     search = SafeRangeSearch(rig)
+    holds, seconds = forecast(rig, constraint.window)
     tqdm.write(
         f"looking from theta_safe = {rig.theta_safe:g} on how far the constraint lets theta go: "
-        f"{rig.constraint}",
+        f"{rig.constraint}; {holds} holds in {spell_time(seconds, rig.pace)} if it lets it go "
+        "everywhere, more near the bound; Ctrl-C ends it, theta returns to theta_safe",
     )
     kept = rig.theta_safe
     while (theta := search.next()) is not None:

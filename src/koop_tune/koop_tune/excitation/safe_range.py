@@ -173,3 +173,16 @@ class SafeRangeSearch:
         if step < s.finest:
             return None
         return last + side * min(step, way)
+
+
+def forecast(rig: RigFile, window: float) -> tuple[int, float]:
+    """Return how many holds there are, and how long they take [s], where the bound is out of reach.
+
+    ``window`` is that of the statistic [s]. Near the bound theta goes by smaller steps.
+    """
+    search, before, way, holds = SafeRangeSearch(rig), float(rig.theta_safe), 0.0, 0
+    while (theta := search.next()) is not None:
+        search.take(theta, 1.0)
+        holds, way, before = holds + 1, way + abs(theta - before), theta
+    way += abs(rig.theta_safe - before)
+    return holds, holds * SAFE_RANGE.windows * window + way / rig.theta_rate
