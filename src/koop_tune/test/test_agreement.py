@@ -240,6 +240,17 @@ def test_what_is_left_once_theta_rests_is_the_best_there_is(aim, good):
     assert find_faults(aim, [replace(held, held=0.9), good]) == []
 
 
+def test_what_oscillates_once_theta_rests_is_not_damped(aim, good):
+    """Failed before: a loop that noise left small by chance, or that theta's motion damps."""
+    best = min(1.0, good.amplitude * math.exp(good.doubt))
+    again = replace(good, held=1.6 * best, held_doubt=0.3)
+    (fault,) = find_faults(aim, [again, good])
+    assert fault.startswith(
+        "once theta rested at 0.6962 the amplitude was 1.6 times the best known"
+    )
+    assert find_faults(aim, [replace(again, held=1.4 * best), good]) == []
+
+
 def test_an_amplitude_that_comes_and_goes_is_not_judged_by_its_worse_half(aim):
     power = np.random.default_rng(2).exponential(size=60)  # of each window, as noise drives it
     halves = power[30:45].mean(), power[45:].mean()

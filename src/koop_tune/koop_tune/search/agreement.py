@@ -5,7 +5,7 @@ loop is damped if, over its second half, which is at least as long as an oscilla
 need to grow,
 
 - the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong
-  and the holds after them, and of the best that an earlier round knew;
+  and the holds after them, and of the best that an earlier round knew; so it is once theta rests;
 - nothing that is not summed moves far more than in any hold of the excitation;
 - all of theta's swing lies in the valley of that map, or in what the loop itself showed to be as
   good where it went beyond;
@@ -305,16 +305,20 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     A single loop, before the others, is not asked whether it makes the amplitude fall.
     """
     faults, good = [], CONVERGENCE.good
+    limit = f"{good:g} is the most" if aim.sense > 0 else f"1/{good:g} the least"
     final, _ = _find_best(aim, runs)
 
-    def most(amplitude: float, doubt: float) -> float:
-        worse = math.log(amplitude) + aim.sense * aim.settings.sure * math.hypot(doubt, aim.error)
+    def most(amplitude: float, *doubts: float) -> float:
+        worse = math.log(amplitude) + aim.sense * aim.settings.sure * math.hypot(*doubts)
         return aim.amplitude.most(*((worse, final) if aim.sense > 0 else (-final, worse)))
 
     for run in runs:
         whole = _whole(aim, run)
-        excess = most(whole, run.doubt)
-        beyond = math.inf if run.beyond is None else most(run.beyond, run.beyond_doubt)
+        excess = most(whole, run.doubt, aim.error)
+        rested = 0.0 if run.held is None else most(run.held)
+        beyond = math.inf
+        if run.beyond is not None:
+            beyond = most(run.beyond, run.beyond_doubt, aim.error)
         if _is_new(aim, run):
             faults.append(
                 f"near theta = {spell(run.theta)} the rig moves at about {run.new_at:.3g} Hz as it "
@@ -329,8 +333,12 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
         elif excess > good:
             faults.append(
                 f"near theta = {spell(run.theta)} the amplitude may be "
-                f"{times_best(excess, aim.sense)} known, "
-                + (f"{good:g} is the most" if aim.sense > 0 else f"1/{good:g} the least")
+                f"{times_best(excess, aim.sense)} known, {limit}"
+            )
+        elif rested > good:
+            faults.append(
+                f"once theta rested at {spell(run.theta)} the amplitude was "
+                f"{times_best(rested, aim.sense)} known, {limit}"
             )
         elif beyond > good and not all(map(_is_inside, aim.knobs, run.low, run.high)):
             low, high = (spell([knob.valley[end] for knob in aim.knobs]) for end in (0, 1))
