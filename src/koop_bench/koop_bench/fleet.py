@@ -11,7 +11,7 @@ DURATION = 20.0  # [s]
 PRIORITY = 30  # of the nodes, where the system permits it
 LIMIT = 5e-3  # [s] that 99 % of all thetas may take after their states
 MISSED = 1e-3  # share of all ticks that may be missed: a machine has other work, too
-SIZES = (1, 20, 40, 60, 80, 100)
+SIZES = (1, 50, 100, 150, 200, 250)
 
 
 def run(settings: BenchSettings) -> list[BenchFigure]:
