@@ -380,6 +380,20 @@ def test_an_oscillation_that_depends_on_the_way_there_is_not_given_up_for_its_fa
     assert weighs_at(amplitude, 0, 2.0)
 
 
+def test_an_oscillation_that_comes_and_goes_is_not_given_up_for_its_own_flank():
+    """Failed before: the flank alone was summed, of which theta's limit was the best."""
+    rng = np.random.default_rng(0)
+    places = [0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.5, 0.25, 1.0]
+    goes = [1.0, 0.2, 1.0, 1.0, 0.2, 0.2, 1.0, 1.0, 1.0]
+    holds = [
+        hold(rng, [(1.0, size), (1.25, 0.12 + 0.4 * abs(u - 0.5))], noise=0.001)
+        for u, size in zip(places, goes, strict=True)
+    ]
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
+    assert weighs_at(amplitude, 0, 1.0)
+    assert weighs_at(amplitude, 0, 1.25)
+
+
 def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
     rng = np.random.default_rng(0)
     holds = [hold(rng, [(3.0, a)], noise=0.0) for a in (1.0, 0.5, 0.0)]

@@ -380,7 +380,8 @@ def choose_amplitude(
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
     reacts[:, : AMPLITUDE.lowest] = False  # a window has too little of a slow interference
     repeats = _repeats(mean, error, places)
-    if not _is_most(mean, reacts & ~repeats, reacts & repeats):
+    left = reacts & (~repeats | _is_flank(mean, reacts & ~repeats))
+    if not _is_most(mean, left, reacts & ~left):
         reacts &= repeats
     if not beside:
         reacts &= ~_is_beside_line(mean, reacts)
@@ -436,6 +437,13 @@ def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np
     falls = mean > AMPLITUDE.falls * mean.min(axis=0)  # noise does not
     at_most = np.take_along_axis(part, mean.argmax(axis=0)[None], axis=0)[0]
     return np.asarray(at_most | (part & falls).any(axis=0))
+
+
+def _is_flank(mean: Array, line: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether groups are less than a line beside them, both shape (n, G): what it leaks."""
+    most = mean.max(axis=0)
+    strongest = maximum_filter1d(most * line, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
+    return np.asarray(strongest > most)
 
 
 def _is_beside_line(mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
