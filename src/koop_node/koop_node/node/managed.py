@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 import traceback
@@ -32,6 +33,7 @@ from koop_node.process.housekeeping import release_compiler
 __all__ = ["ERROR", "OK", "STALE", "WARN", "Entities", "ManagedNode", "Run", "message_type"]
 
 REPORT_PERIOD = 1.0  # [s]
+LOOK_PERIOD = 10.0  # [s] between looks for publishers that cannot be heard, beside others
 
 
 def message_type(name: str, fields: tuple[Path, ...] = ()) -> Any:
@@ -139,7 +141,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         self._while_active: Entities | None = None
         self._counted = (time.monotonic(), 0)
         self._news = News()
-        self._known_publishers: dict[str, list[Any]] = {}  # of its inputs, by topic
+        self._known_publishers: dict[str, tuple[list[Any], float]] = {}  # by topic, and when [s]
         global_arguments = sys.argv if options.get("use_global_arguments", True) else []
         self.parameters = Parameters(
             self,
@@ -335,10 +337,16 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         self._diagnostics.publish(array)
 
     def _publishers_of(self, monitor: StreamMonitor, now: float) -> list[Any]:
-        """Return the publishers of an input: the same, while it hears them and their number is."""
-        topic, known = monitor.topic, self._known_publishers.get(monitor.topic, [])
-        if not monitor.age(now) < REPORT_PERIOD or self.count_publishers(topic) != len(known):
-            known = self._known_publishers[topic] = publishers_of(self, topic)
+        """Return the publishers of an input: the same, while it hears as many.
+
+        DDS's lists are long where many loops run, and are looked through for each question.
+        """
+        topic, inputs = monitor.topic, self._while_active.inputs if self._while_active else {}
+        known, looked = self._known_publishers.get(topic, ([], -math.inf))
+        heard = topic in inputs and monitor.age(now) < REPORT_PERIOD and now - looked < LOOK_PERIOD
+        if not (heard and inputs[topic].subscription.get_publisher_count() == len(known)):
+            known = publishers_of(self, topic)
+            self._known_publishers[topic] = known, now
         return known
 
     def _findings(
