@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from koop_core.borrowed import borrowed
 from koop_core.kernels import njit
 from koop_core.port import MORE
 from koop_core.wakeup import Loop, Reasons
@@ -22,7 +23,7 @@ from vdp_plant.node import PlantNode
 def go_on(most: int, loop: Loop, reasons: Reasons) -> tuple[Loop, float]:
     """Go on with a loop; see :func:`koop_core.wakeup.make_run`."""
     one = two = three = MORE
-    lifter, controller, plant = loop.stages
+    lifter, controller, plant = borrowed(loop.stages)
     lifted, controlled, advanced = loop.progress
     for _ in range(most):
         one, lifted = lifter_stage.answer_next(lifter, lifted)

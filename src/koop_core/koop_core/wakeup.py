@@ -149,8 +149,9 @@ def alone(answer_next: Kernel, due: Kernel) -> Kernel:
     @njit()
     def go_on(most: int, loop: Any, reasons: Reasons) -> Any:
         reason, progress, stage = MORE, loop.progress[0], loop.stages[0]
+        lent = borrowed(stage)
         for _ in range(most):
-            reason, progress = answer_next(stage, progress)
+            reason, progress = answer_next(lent, progress)
             if reason != MORE:
                 break
         reasons[0] = reason
