@@ -70,8 +70,10 @@ class Fleet(Client):
         try:
             self.wait_for(ready, START_TIMEOUT + 0.5 * len(waiting), "all loops", self.check)
         except LiveError as error:
-            names, log = ", ".join(sorted(waiting)), self.processes[0].log
-            raise LiveError(f"{error}: {names} did not begin; see {log.parent}") from None
+            names, log = ", ".join(sorted(waiting)[:3]), self.processes[0].log
+            raise LiveError(
+                f"{error}: {len(waiting)} plants did not begin, such as {names}; see {log.parent}"
+            ) from None
 
     def _on_message(self, message: Any) -> None:
         stamp = message.header.stamp

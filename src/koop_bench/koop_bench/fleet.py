@@ -27,8 +27,8 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
     for loops in SIZES:
         try:
             each = measure_fleet(loops, RATE, duration, PRIORITY)
-        except LiveError:
-            settings.show(f"{loops:5}  not all of them started")
+        except LiveError as error:
+            settings.show(f"{loops:5}  {error}")
             break
         trips = " ".join(f"{each.trip(share) * 1e3:7.2f}" for share in (0.5, 0.99, 0.999, 1.0))
         settings.show(
