@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.clock import Clock, system
 from koop_core.foreign import call, libc
 from koop_core.kernels import njit
 
@@ -65,8 +66,7 @@ def append(place: Place, address: int, size: int) -> bool:
         at = 0
     begin = FIRST + at
     words[begin] = size
-    call(place.clock, time.CLOCK_REALTIME, words[begin + 1 :].ctypes.data, 0, 0)
-    words[begin + 2] += words[begin + 1] * 1_000_000_000
+    words[begin + 2] = system(Clock(place.clock, words[begin + 1 :]))
     words[begin + 1] = place.number
     call(place.copy, words[begin + HEAD :].ctypes.data, address, size, 0)
     words[WRITTEN] = written + skipped + length  # last: what the reader sees is whole

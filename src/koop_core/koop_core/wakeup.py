@@ -1,6 +1,6 @@
 """How compiled code goes on with the loops of a process until Python is due, by libc. Pure.
 
-Of each loop it has a :class:`Turn` in a table: what Python has lent, and when it is due. It runs
+A table, :class:`Turns`, has what Python has lent of each loop, and when it is due. The code runs
 the loops that are due, and sleeps until the next one is or has a message.
 """
 
@@ -144,7 +144,7 @@ def make_run(go_on: Kernel) -> Kernel:
 
 
 def alone(answer_next: Kernel, due: Kernel) -> Kernel:
-    """Return ``go_on`` of :func:`make_run` for a stage by itself, and the type of its loop."""
+    """Return ``go_on`` of :func:`make_run` for a stage by itself, which is due at a time [s]."""
 
     @njit()
     def go_on(most: int, loop: Any, reasons: Reasons) -> Any:

@@ -1,6 +1,7 @@
 """The rings that earlier runs of a loop have left in folders beside this run's."""
 
 import fcntl
+import glob
 import os
 import re
 from collections.abc import Iterable
@@ -14,7 +15,7 @@ ALARMS = "alarms"
 """Folder in a ring for the files around alarms: at most half of what the ring may take."""
 NAMED = "alarms.txt"
 """Names of a ring's files around alarms, which it has not moved there yet."""
-RUN = re.compile(r"\d{8}T\d{6}Z-(.+)")
+_RUN = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
 
 
 def lock(bag: Path) -> int | None:
@@ -68,15 +69,19 @@ class EarlierRuns:
         return size
 
 
+def label_of(folder: Path) -> str:
+    """Return the label in the name of a run's folder; empty if it is not named after a time."""
+    match = _RUN.fullmatch(folder.name)
+    return match[1] if match else ""
+
+
 def find_earlier(folder: Path) -> list[Path]:
-    """Return the folders of earlier runs with a ring and the name of this one, the oldest first."""
-    name = RUN.fullmatch(folder.name)
-    if name is None:
-        return []
+    """Return the folders of earlier runs with a ring and this one's label, the oldest first."""
+    label = label_of(folder)
     return sorted(
         run
-        for run in folder.parent.glob("*Z-*")
-        if (match := RUN.fullmatch(run.name)) and match[1] == name[1]
+        for run in folder.parent.glob(f"*Z-{glob.escape(label)}")
+        if label and label_of(run) == label
         and run.name < folder.name and (run / "summary").is_dir()
     )  # fmt: skip
 

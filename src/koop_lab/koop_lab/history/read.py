@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -13,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from koop_bag.bag.columns import iter_tables
+from koop_bag.bag.earlier import label_of
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.summary import FIELDS, SECOND, LoopSecond, Seconds
 from koop_bag.errors import BagError
@@ -38,7 +38,6 @@ GUARD = (
     *(f"{name}[{k}]" for name in ("theta", "tripped_theta") for k in range(MOST)),
 )  # fmt: skip
 HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
-LABEL = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
 CLOCK_SET = 946_684_800  # [s since the epoch], the year 2000: a clock that shows less was not set
 LONG, SHORT, FINE = 7200.0, 10.0, 60.0  # [s]: within a span of LONG, amplitudes of SHORT, or FINE
 
@@ -183,7 +182,7 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
         if not runs:
             raise InputError(f"{path}: holds no run, a folder with a {BAG} in it")
         folders += runs
-    names = {match[1] for folder in folders if (match := LABEL.fullmatch(folder.resolve().name))}
+    names = {label for folder in folders if (label := label_of(folder.resolve()))}
     if len(names) > 1:
         raise InputError(
             f"{paths[0]}: holds runs of {', '.join(sorted(names)[:5])}: name the folders of one, "

@@ -348,7 +348,7 @@ def run(
     bound, edge : BarrierParams, float
         Barrier of a constraint, and where its margin is 0 [the controller's u].
     """
-    s, draws = borrowed(s), borrowed(draws)
+    s, draws = borrowed((s, draws))
     margins = barrier.UNKNOWN
     cost_state = cost.initial()
     position = _position(s.low, s.high, s.logarithmic, state.output)
@@ -393,13 +393,7 @@ def run_knobs(
     ``s`` is a rig over how far all knobs are from the best, ``bowl`` says how far; ``drift`` has
     the shape (n,), and ``away``, shape (n, BLOCKS), receives how far each knob is.
     """
-    s, draws, bowl, limits, state = (
-        borrowed(s),
-        borrowed(draws),
-        borrowed(bowl),
-        borrowed(limits),
-        borrowed(state),
-    )
+    s, draws, bowl, limits, state = borrowed((s, draws, bowl, limits, state))
     cost_state = cost.initial()
     n = drift.size
     off = np.empty(n)
