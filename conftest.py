@@ -35,8 +35,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 @pytest.hookimpl(optionalhook=True)  # there may be no xdist
 def pytest_xdist_auto_num_workers() -> int:
-    """Three workers a processor: most tests wait for their nodes two thirds of the time."""
-    return 3 * len(os.sched_getaffinity(0))
+    """Two workers a processor: most tests wait for their nodes half of the time."""
+    return 2 * len(os.sched_getaffinity(0))
 
 
 @pytest.fixture(scope="session")
