@@ -2,8 +2,13 @@
 
     margin_k = 1 - s_k / bound
 
-    rms:   s_k^2 = s_{k-1}^2 + w (v_k^2 - s_{k-1}^2),   w = 1 - exp(-dt / window)
+    rms:   s_k^2 = s_{k-1}^2 + w (v_k^2 - s_{k-1}^2),   w = 1 - exp(-m dt / window)
     peak:  s_k = the largest |v| of this window and of the one before it
+
+v_k is of the values since the sample of the state before: their rms or their largest |v|. They
+count for m samples, as many as bring so many values in the mean of the last window: states and
+values that come in bursts, all of one before those of the other, weigh as if they had alternated.
+Where none came the statistic stays as it is.
 
 Until a window has passed after a start or a join there is no margin (NaN), nor is there where the
 signal, or its square, is not finite, or it was silent for a window. The first samples of an rms all
@@ -27,8 +32,8 @@ class MarginParams(NamedTuple):
     """Whether the statistic is the peak."""
     window: int
     """Samples of the window."""
-    weight: float
-    """w, of one sample in the rms [-]."""
+    rate: float
+    """dt / window [-]."""
     bound: float
     """What the statistic must stay below, in the signal's unit."""
 
@@ -36,47 +41,49 @@ class MarginParams(NamedTuple):
 class MarginState(NamedTuple):
     """State of the signal's statistic."""
 
-    samples: int
-    """Samples in all; of a peak, in this window."""
+    samples: float
+    """Samples that values counted for; of a peak, samples of the state in this window."""
     now: float
     """s^2; of a peak, the largest magnitude in this window."""
     before: float
     """Largest magnitude in the window before; below 0: there was none."""
 
 
-BEGIN = MarginState(0, 0.0, -1.0)
+BEGIN = MarginState(0.0, 0.0, -1.0)
 
 
 def margin_params(constraint: Constraint, dt: float) -> MarginParams:
     """Return the scalars for a sampling time [s]."""
     samples = max(1, math.ceil(constraint.window / dt - 1e-9))
-    weight = -math.expm1(-dt / constraint.window)
-    return MarginParams(constraint.statistic == "peak", samples, weight, constraint.bound)
+    peak, rate = constraint.statistic == "peak", dt / constraint.window
+    return MarginParams(peak, samples, rate, constraint.bound)
 
 
 @njit()
 def follow(
-    p: MarginParams, state: MarginState, arrival: int, v: float
+    p: MarginParams, state: MarginState, arrival: int, v: float, m: float
 ) -> tuple[float, MarginState]:
-    """Return the margin after one sample of the signal, NaN where there is none, and the state.
+    """Return the margin after one sample of the state, NaN where there is none, and the state.
 
     ``arrival`` is what the sample is to the ones before, up to JOIN; after a start or a join
-    nothing is known.
+    nothing is known. ``v`` is the signal since the sample before, which counts for ``m`` samples;
+    0: no value came.
     """
     if arrival == Arrival.RESTART or arrival == Arrival.JOIN or not math.isfinite(v * v):
         state = BEGIN
     if not math.isfinite(v * v):
         return math.nan, state
-    samples = state.samples + 1
     if p.peak:
-        now, before = max(state.now, abs(v)), state.before
+        samples, now, before = state.samples + 1.0, max(state.now, abs(v)), state.before
         margin = 1.0 - max(now, before) / p.bound if before >= 0.0 else math.nan
         if samples >= p.window:
-            return margin, MarginState(0, 0.0, now)
+            return margin, MarginState(0.0, 0.0, now)
         return margin, MarginState(samples, now, before)
-    now = state.now + max(p.weight, 1.0 / samples) * (v * v - state.now)
+    samples, now = state.samples + m, state.now
+    if m > 0.0:
+        now += max(-math.expm1(-m * p.rate), m / samples) * (v * v - now)
     margin = 1.0 - math.sqrt(now) / p.bound if samples >= p.window else math.nan
-    return margin, MarginState(min(samples, p.window), now, -1.0)
+    return margin, MarginState(min(samples, float(p.window)), now, -1.0)
 
 
 class SignalMeter:
@@ -85,22 +92,29 @@ class SignalMeter:
     def __init__(self, constraint: Constraint, dt: float) -> None:
         self._peak = constraint.statistic == "peak"
         self._longest = max(1, math.ceil(constraint.window / dt))
-        self._last = math.nan
         self._count, self._sum, self._most = 0, 0.0, 0.0
-        self._silent = 0  # samples of the state
+        self._silent = self._longest  # samples of the state
+        self._taken, self._rate = 0, 0.0  # samples of the state, and values of each
 
     def hear(self, value: float) -> None:
         """Take a value of the signal."""
-        self._last, self._count = value, self._count + 1
+        self._count += 1
         self._sum += value * value
         self._most = max(self._most, abs(value)) if value == value else math.nan
 
-    def take(self) -> float:
-        """Return the signal for the next sample of the state; the last value where none came."""
+    def take(self) -> tuple[float, float]:
+        """Return the signal since the last sample of the state, and for how many it counts.
+
+        Both are 0 where no value came; the signal is NaN once that was so for a window.
+        """
         count, total, most = self._count, self._sum, self._most
         self._count, self._sum, self._most = 0, 0.0, 0.0
+        if self._silent >= self._longest:
+            self._taken, self._rate = 0, 0.0
+        self._taken = min(self._taken + 1, self._longest)
+        self._rate += (count - self._rate) / self._taken
         if not count:
             self._silent += 1
-            return self._last if self._silent < self._longest else math.nan
+            return (0.0 if self._silent < self._longest else math.nan), 0.0
         self._silent = 0
-        return most if self._peak else math.sqrt(total / count)
+        return (most if self._peak else math.sqrt(total / count)), count / self._rate

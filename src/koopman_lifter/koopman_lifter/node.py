@@ -90,7 +90,7 @@ class BoundedSignal:
         self._source = constraint.source
         self._meter = margin.SignalMeter(constraint, dt)
         self._params, self._state = margin.margin_params(constraint, dt), margin.BEGIN
-        self._follow = direct(margin.follow, self._params, self._state, 0, 0.0)
+        self._follow = direct(margin.follow, self._params, self._state, 0, 0.0, 0.0)
 
     def listen(self, entities: Entities, then: Callable[[], object]) -> None:
         """Hear the signal once it is published, and ``then`` go on."""
@@ -107,7 +107,7 @@ class BoundedSignal:
 
     def follow(self, arrival: int) -> float:
         """Return the margin at the next state; NaN where it is not known."""
-        left, self._state = self._follow(self._params, self._state, arrival, self._meter.take())
+        left, self._state = self._follow(self._params, self._state, arrival, *self._meter.take())
         return left
 
 
