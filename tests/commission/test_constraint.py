@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commission_rig import RIG
+from test_check import rows_of
 from test_excite import start_until
 from test_guard import LONG, LOOP, assert_replays
 from waiting import wait
@@ -46,6 +47,19 @@ def test_theta_goes_towards_the_bound_step_by_step_and_not_beyond_it(fast_rig, k
     np.testing.assert_allclose(safe.margin, expected, atol=0.015)
     assert safe.slope(rig.scale) == pytest.approx(2.0, abs=0.1)  # d/dtheta at the bound
     assert f"the constraint is kept from theta_min {safe.low:.4g} to" in out
+
+
+def test_a_check_moves_theta_within_the_bound(fast_rig):
+    """Failed: theta went from 1.5 to 0.75, where the effort is twice the bound."""
+    rig = replace(RIG, constraint=CONSTRAINT, theta_safe=1.5)
+    rows, bad = rows_of(rig)
+    assert bad == [], [rows[name].text for name in bad]
+    match = re.search(r"reaches the rig .*; theta from (\S+) to (\S+), ", rows["theta"].text)
+    begin, end = map(float, match.groups())
+    assert begin == pytest.approx(1.5)
+    assert abs(end - begin) == pytest.approx(0.25 * (2.0 - EDGE), abs=0.02)  # of what it may
+    assert min(theta for _, theta in fast_rig.moved) > EDGE
+    assert fast_rig.theta == 1.5
 
 
 def test_a_signal_that_is_not_there_is_named_before_theta_moves(fast_rig, tmp_path, capfd):

@@ -49,6 +49,7 @@ from koop_commission.rig.graph import (
 )
 from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
+from koop_commission.stages.safe_range import find_safe_range
 from koop_commission.stages.session import Session, spell_time
 from koop_core.config.knobs import format_knobs
 from koop_core.errors import LiveError
@@ -65,9 +66,10 @@ def register(commands: Any) -> None:
     parser = commands.add_parser(
         "check",
         description="Listens to a rig, then moves theta by a quarter of its range several times "
-        "and tests whether the rig reacts. One line for each finding; exit code 0 only if the rig "
-        "is fit to be commissioned. theta returns to theta_safe. If you say yes, it also tests "
-        "whether the rig returns theta by itself where nobody commands.",
+        "and tests whether the rig reacts; first how far a constraint lets theta go, step by step, "
+        "where it bounds a signal. One line for each finding; exit code 0 only if the rig is fit "
+        "to be commissioned. theta returns to theta_safe. If you say yes, it also tests whether "
+        "the rig returns theta by itself where nobody commands.",
     )
     parser.add_argument("rig", metavar="RIG.YAML", help="rig file, from 'koop commission --new'")
     parser.add_argument("bag", metavar="BAG", nargs="?", help="a recording in place of the rig")
@@ -150,9 +152,14 @@ def check_rig(
         try:
             with TemporaryDirectory() as folder:
                 sections = {GUARD: guard_section(rig, note)}
+                if rig.bounded is not None:  # its margin comes with the cost
+                    lifter = {"cost": "raw", "dt": rig.dt, "listeners": GUARD, **rig.lifter_input}
+                    sections["koopman_lifter"] = lifter
                 with LiveNodes(Path(folder), Plan(sections, rig=True)) as nodes:
                     session = Session(rig, client, listener, command_types, nodes, note)
                     with session.command_theta():
+                        if rig.bounded is not None:
+                            rig = find_safe_range(rig, rig.bounded, session).narrow(rig)
                         draw = rng or random.Random()
                         moved, settle, blocks = _move_theta(rig, session, period, draw)
                         yield from moved
