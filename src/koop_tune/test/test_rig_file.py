@@ -76,6 +76,18 @@ def test_what_cannot_be_meant_is_refused_with_its_line(tmp_path, old, new, messa
         read(path)
 
 
+def test_a_signals_bound_is_refused_for_several_knobs_and_lines_between_them_are_not(tmp_path):
+    path = tmp_path / "rig.yaml"
+    text = written(RIG).replace("/stiffness:data", "/gains:data[0],data[1]")
+    line, bound = "theta[0] <= 2 theta[1]", "rms(/tower/effort:data, 10 s) < 1.5"
+    path.write_text(text.replace("constraint: ''", f"constraint: {line}"))
+    assert read(path).lines[0].weights == (1.0, -2.0)
+    for constraint in (bound, f"{line}; {bound}"):
+        path.write_text(text.replace("constraint: ''", f"constraint: {constraint}"))
+        with pytest.raises(ConfigError, match=r"rig\.yaml:\d+: constraint = .* of one knob only"):
+            read(path)
+
+
 def test_all_that_is_missing_is_told_at_once(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("dt: 0.01\ntheta_min: 0.0\n")

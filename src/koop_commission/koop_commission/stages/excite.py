@@ -101,9 +101,6 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
         If the folder holds the recordings of another rig, or a finished excitation.
     """
     state = progress_file.load(rig, folder) or ExcitationProgress()
-    if rig.bounded is not None and rig.count > 1:
-        raise ConfigError(f"constraint = {rig.constraint!r}: how far theta may go is found of one "
-                          "knob only, the command has several")  # fmt: skip
     if state.ended in (KNOWN, FLAT):
         raise ConfigError(f"{folder}: the static map is known already: choose another --out")
     if state.elapsed >= rig.time:

@@ -50,8 +50,11 @@ class RigFile(RigLimits):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check_counts("weights")
-        if self.weights and not (min(self.weights) >= 0.0 < max(self.weights)):
-            raise ConfigError(f"weights = {list(self.weights)}: none is below 0, one is above 0")
+        if self.bounded is not None and self.count > 1:
+            raise ConfigError(
+                f"constraint = {self.constraint!r}: how far a signal's bound lets theta go is "
+                f"found of one knob only, the command has {self.count}: leave but lines between knobs"
+            )
 
     def knob(self, i: int, **others: Any) -> RigFile:
         """Return the rig file of one knob alone, with ``others`` changed."""
