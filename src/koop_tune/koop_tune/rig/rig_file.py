@@ -53,7 +53,8 @@ class RigFile(RigLimits):
         if self.bounded is not None and self.count > 1:
             raise ConfigError(
                 f"constraint = {self.constraint!r}: how far a signal's bound lets theta go is "
-                f"found of one knob only, the command has {self.count}: leave but lines between knobs"
+                f"found of one knob only, the command has {self.count}: keep only lines between "
+                "knobs"
             )
 
     def knob(self, i: int, **others: Any) -> RigFile:
