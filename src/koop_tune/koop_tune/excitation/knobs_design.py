@@ -11,7 +11,8 @@ A rig with one knob has one section. With several:
    at a line between knobs it goes along that.
 4. Through the best, each knob's section is found out as that of a rig with one knob
    (:class:`koop_tune.excitation.design.Design`), and one without effect is gone over once more.
-   Steps 3 and 4 are repeated while the best moves, or where windows became longer meanwhile.
+   Steps 3 and 4 are repeated while the best moves or lies beside all sections, or where windows
+   became longer meanwhile.
 
 The holds grow with n^2, not exponentially. A valley off all of these lines is not found.
 """
@@ -283,6 +284,7 @@ class KnobsDesign:
                 yield from self._hold_at(place, "how two knobs are coupled")
         self.sections, self.lines = {}, {}
         for cycle in itertools.count(1):
+            before = self._arrivals
             yield from self._descend()
             yield from self._slide()
             for i, knob in enumerate(self._useful, start=1):
@@ -306,9 +308,21 @@ class KnobsDesign:
             if any(map(self._is_short, self.sections.values())):
                 continue
             moves = set(found) & self.sections.keys() or self._least_of_bowl() is not None
-            if cycle >= KNOBS.cycles or not moves:
+            enough = cycle >= KNOBS.cycles or not moves
+            if enough and (self._is_on_section() or self._arrivals == before):
                 break
         self.ended = KNOWN
+
+    def _is_on_section(self) -> bool:
+        """Return whether a section goes through the base, as far as lines leave room there.
+
+        Where what is summed changes with the last holds, another one may be the best of all.
+        """
+        others = ~np.eye(self.base.size, dtype=bool)
+        return any(
+            np.abs(self._with_room(knob) - line)[others[knob]].max() <= KNOBS.same
+            for knob, line in self.lines.items()
+        )
 
     def _along(
         self, knob: int, first: Sequence[float] | None = None, whole: bool = True
