@@ -12,8 +12,10 @@ FAULTS = [
     ("disk", {}, {"KOOP_ROOT": "/proc"}, "0.0 GiB free"),
     ("memory", {"proc/meminfo": "MemTotal: 9 kB\nMemAvailable: 1024 kB"}, {}, "0.0 GiB"),
     ("shared memory", {}, {}, "no /dev/shm: set FASTDDS"),
-    ("domain", {}, {"ROS_DOMAIN_ID": "180"}, "ROS_DOMAIN_ID=180"),
-    ("domain", {"proc/net/udp": UDP.format(port=7400 + 250 * 7 + 10)}, {"ROS_DOMAIN_ID": "7"},
+    ("domain", {}, {"ROS_DOMAIN_ID": "two"}, "ROS_DOMAIN_ID=two is not a number up to 232: set it"),
+    ("domain", {}, {"ROS_DOMAIN_ID": "233"}, "ROS_DOMAIN_ID=233 is not a number up to 232: set it"),
+    ("ports", {}, {"ROS_DOMAIN_ID": "180"}, "ROS_DOMAIN_ID=180"),
+    ("ports", {"proc/net/udp": UDP.format(port=7400 + 250 * 7 + 10)}, {"ROS_DOMAIN_ID": "7"},
      "1 participant(s) in domain 7"),
     ("sessions", {"proc/sys/kernel/sched_autogroup_enabled": "1"}, {}, "from one, or sysctl"),
     ("processors", {"proc/loadavg": "400.0 1 1 1/1 1"}, {}, "load 400"),
@@ -51,8 +53,12 @@ def test_an_unheard_multicast_is_found(tmp_path, monkeypatch):
     assert "ROS_STATIC_PEERS" in EXAMINATIONS["multicast"](machine)
 
 
-def test_each_line_says_what_was_examined(capsys, monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    main(["doctor"])
+@pytest.mark.parametrize("domain", ["0", "two"])  # the second failed: it said nothing else
+def test_each_line_says_what_was_examined(capsys, monkeypatch, domain):
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    code = main(["doctor"])
     lines = capsys.readouterr().out.splitlines()
     assert [line[6:19].strip() for line in lines] == list(EXAMINATIONS)
+    if domain == "two":
+        assert code == 1
+        assert any(line.startswith("BAD   domain") for line in lines)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from koop_core.errors import InputError
+from koop_node.process.domain import LAST
 
 PORTS = 7400, 250  # of DDS: the first, and how many a domain has (RTPS 2.5, section 9.6.1.1)
 DOMAINS = 102  # whose ports end below Linux's range of ephemeral ports
@@ -36,12 +36,10 @@ class Machine(NamedTuple):
             return ""
 
     @property
-    def domain(self) -> int:
-        """ROS_DOMAIN_ID, which DDS's ports follow from."""
+    def domain(self) -> int | None:
+        """ROS_DOMAIN_ID, which DDS's ports follow from; None where it has none."""
         text = self.environment.get("ROS_DOMAIN_ID") or "0"
-        if not text.isdecimal():
-            raise InputError(f"ROS_DOMAIN_ID={text} is not a number: set it to 0 to {DOMAINS - 1}")
-        return int(text)
+        return int(text) if text.isdecimal() and int(text) <= LAST else None
 
 
 Cause = str | None  # of a disturbance, with the remedy; None: all is well
@@ -101,8 +99,18 @@ def judge_multicast(machine: Machine) -> Cause:
 
 
 def judge_domain(machine: Machine) -> Cause:
+    """Find a domain that DDS has no ports for: no node starts."""
+    if machine.domain is not None:
+        return None
+    text = machine.environment["ROS_DOMAIN_ID"]
+    return f"ROS_DOMAIN_ID={text} is not a number up to {LAST}: set it to 0 to {DOMAINS - 1}"
+
+
+def judge_ports(machine: Machine) -> Cause:
     """Another loop of the same domain and namespace is one publisher too many."""
     domain = machine.domain
+    if domain is None:
+        return None
     if domain >= DOMAINS:
         return f"ROS_DOMAIN_ID={domain}: its ports may be taken by others; use 0 to {DOMAINS - 1}"
     lines = machine.read("proc/net/udp").splitlines()[1:]
@@ -156,12 +164,13 @@ EXAMINATIONS: dict[str, Callable[[Machine], Cause]] = {
     "shared memory": judge_shared_memory,
     "multicast": judge_multicast,
     "domain": judge_domain,
+    "ports": judge_ports,
     "clock": judge_clock,
     "real time": judge_priority,
     "sessions": judge_sessions,
     "processors": judge_processors,
 }
-PREVENTING = ("Python", "disk", "memory", "shared memory", "multicast")  # loops; others disturb
+PREVENTING = ("Python", "disk", "memory", "shared memory", "multicast", "domain")  # others disturb
 
 
 def register(commands: Any) -> None:
