@@ -3,7 +3,7 @@
 import uPlot from "uplot";
 import { labels } from "./format";
 
-const COLORS = 8;
+export const COLORS = 8;
 const FONT = "system-ui, sans-serif";
 const MARK_ROWS = 5; // of names of marks, one below the other
 

@@ -35,10 +35,6 @@ export function setChildren(element: Element, children: HTMLElement[]): void {
   if (element.innerHTML !== html) element.replaceChildren(...children);
 }
 
-export function onClick(element: Element, action: () => void): void {
-  element.addEventListener("click", action);
-}
-
 /** Offer values in a selector; what is offered already stays, and what is chosen of it. */
 export function setOptions(select: HTMLSelectElement, values: readonly string[]): void {
   if (Array.from(select.options, ({ value }) => value).join() === values.join()) return;

@@ -53,7 +53,6 @@ interface Call {
 export class Link {
   private client: FoxgloveClient | undefined;
   private socket: WebSocket | undefined;
-  private opened = false;
   private wait = FIRST_WAIT; // [s] before the next attempt
   private channels = new Map<string, Channel>();
   private services = new Map<string, Service>();
@@ -76,9 +75,7 @@ export class Link {
     const client = new FoxgloveClient({ ws: socket });
     this.socket = socket;
     this.client = client;
-    this.opened = false;
     client.on("open", () => {
-      this.opened = true;
       this.wait = FIRST_WAIT;
       this.handlers.opened();
     });
@@ -134,7 +131,7 @@ export class Link {
 
   /** Get these parameters now and whenever they change. */
   watch(names: string[]): void {
-    if (!this.opened || !names.length) return;
+    if (!this.isOpen || !names.length) return;
     this.client?.subscribeParameterUpdates(names);
     this.client?.getParameters(names, REQUEST);
   }
@@ -157,6 +154,10 @@ export class Link {
     });
   }
 
+  private get isOpen(): boolean {
+    return this.socket?.readyState === WebSocket.OPEN;
+  }
+
   private end(callId: number): Call | undefined {
     const call = this.calls.get(callId);
     this.calls.delete(callId);
@@ -173,7 +174,7 @@ export class Link {
   }
 
   private subscribe(): void {
-    if (!this.opened) return;
+    if (!this.isOpen) return;
     const all = [...this.subscriptions];
     const subscriptionIds = all.filter(([, t]) => !this.topics.includes(t)).map(([id]) => id);
     for (const id of subscriptionIds) this.subscriptions.delete(id);
@@ -195,8 +196,6 @@ export class Link {
   }
 
   private lose(): void {
-    this.client = undefined;
-    this.opened = false;
     for (const map of [this.channels, this.subscriptions, this.services]) map.clear();
     for (const call of this.calls.values()) call.reject(new Error("the connection was lost"));
     this.calls.clear();

@@ -174,22 +174,12 @@ export class Loop {
   private nodes(now: number, live: boolean): LoopNode[] {
     const { plant, lifter, controller, state } = this.names;
     const { reports } = this;
-    const nodes: LoopNode[] = [
-      {
-        name: plant ?? state ?? "rig",
-        role: "rig",
-        report: plant ? reports.get(plant) : undefined,
-        output: this.state,
-      },
-    ];
-    for (const [name, role] of [
-      [lifter, "lifter"],
-      [controller, "controller"],
-    ] as const) {
-      const input = role === "lifter" ? this.state : this.cost;
-      const output = this.stream(role);
-      if (name) nodes.push({ name, role, report: reports.get(name), output, input });
-    }
+    const node = (name: string, role: Role, output: Stream, input?: Stream): LoopNode => {
+      return { name, role, report: reports.get(name), output, input };
+    };
+    const nodes = [node(plant ?? state ?? "rig", "rig", this.state)];
+    if (lifter) nodes.push(node(lifter, "lifter", this.cost, this.state));
+    if (controller) nodes.push(node(controller, "controller", this.theta, this.cost));
     for (const [name, report] of reports) {
       if ([plant, lifter, controller].includes(name)) continue;
       if (live && now - report.at > FORGOTTEN) reports.delete(name);
@@ -208,11 +198,6 @@ export class Loop {
   /** Steps per second, by the newest messages; NaN: not known yet. */
   rate(now: number): number {
     return silence(this.state, now) ? 0 : this.state.rate || NaN;
-  }
-
-  /** What a node publishes. */
-  stream(role: Role): Stream | undefined {
-    return { rig: this.state, lifter: this.cost, controller: this.theta, other: undefined }[role];
   }
 }
 

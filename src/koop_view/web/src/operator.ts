@@ -1,6 +1,6 @@
 // What the operator does to the loop: requested, confirmed where it moves the rig, answered.
 
-import { byId, make, onClick, setOptions, setText } from "./dom";
+import { byId, make, setOptions, setText } from "./dom";
 import { clock, formatKnobs, readKnobs, short } from "./format";
 import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
@@ -27,18 +27,18 @@ export class Operator {
     private readonly link: Link,
   ) {
     // holding moves nothing: it is done at once
-    onClick(byId("hold"), () => void this.call("hold θ", "hold", { data: true }));
-    onClick(byId("resume"), () => void this.resume());
-    onClick(byId("reset"), () => void this.reset());
-    onClick(byId("trip"), () => void this.call("trip", "trip", {}, "guard"));
-    onClick(byId("rearm"), () => void this.rearm());
-    onClick(byId("use-model"), () => void this.useModel());
+    byId("hold").onclick = () => void this.call("hold θ", "hold", { data: true });
+    byId("resume").onclick = () => void this.resume();
+    byId("reset").onclick = () => void this.reset();
+    byId("trip").onclick = () => void this.call("trip", "trip", {}, "guard");
+    byId("rearm").onclick = () => void this.rearm();
+    byId("use-model").onclick = () => void this.useModel();
     byId("limits-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.setLimits();
     });
     for (const answer of ["yes", "no"]) {
-      onClick(byId(`confirm-${answer}`), () => byId<HTMLDialogElement>("confirm").close(answer));
+      byId(`confirm-${answer}`).onclick = () => byId<HTMLDialogElement>("confirm").close(answer);
     }
   }
 

@@ -301,7 +301,7 @@ export class Page {
       [...this.loops].map(([n, other]) => [n, this.levelOf(other, level, time)]),
     );
     showLoops(this.loops, levels, chosen);
-    showHealth(rows, loop, this.recorded, time);
+    showHealth(rows, this.recorded, time);
     showForce(this);
     this.figures.showPairs();
     this.operator.refresh();

@@ -5,7 +5,6 @@ import { short, shortName } from "./format";
 import { inputAge, type Level, losses, type Row, silence, urgency } from "./health";
 import { costName, type Loop } from "./loop";
 import type { Desk } from "./operator";
-import type { Stream } from "./stream";
 import type { TimeAxis } from "./time_axis";
 
 export const WORDS = { ok: "OK", warn: "WARN", error: "ERROR", stale: "STALE", off: "–" };
@@ -29,10 +28,10 @@ export const PARAMETERS = {
 
 export function showSpans(time: TimeAxis): void {
   for (const button of document.querySelectorAll<HTMLButtonElement>("#spans button")) {
-    const isPressed = !time.isZoomed && Number(button.value) === time.span;
+    const isPressed = !time.part && Number(button.value) === time.span;
     button.setAttribute("aria-pressed", String(isPressed));
   }
-  byId("zoomed").hidden = !time.isZoomed;
+  byId("zoomed").hidden = !time.part;
 }
 
 /** Each loop with its level in the selector, and those that need somebody beside it. */
@@ -59,26 +58,17 @@ export function showLoops(
 }
 
 /** A line for each node. */
-export function showHealth(
-  rows: readonly Row[],
-  loop: Loop | undefined,
-  recorded: boolean,
-  now: number,
-): void {
-  const lines = rows.map((row) => healthLine(row, loop?.stream(row.node.role), recorded, now));
+export function showHealth(rows: readonly Row[], recorded: boolean, now: number): void {
+  const lines = rows.map((row) => healthLine(row, recorded, now));
   setChildren(byId("health"), lines);
 }
 
-function healthLine(
-  { node, judgement }: Row,
-  stream: Stream | undefined,
-  recorded: boolean,
-  now: number,
-): HTMLElement {
-  const silent = stream && !recorded ? silence(stream, now) : 0;
+function healthLine({ node, judgement }: Row, recorded: boolean, now: number): HTMLElement {
+  const { output } = node;
+  const silent = output && !recorded ? silence(output, now) : 0;
   const age = silent ? `${silent.toFixed(1)} s` : inputAge(node.report);
-  let rate = silent ? 0 : (stream?.rate ?? NaN);
-  if (!Number.isFinite(stream?.at)) rate = Number(node.report?.values["rate_hz"] ?? NaN);
+  let rate = silent ? 0 : (output?.rate ?? NaN);
+  if (!Number.isFinite(output?.at)) rate = Number(node.report?.values["rate_hz"] ?? NaN);
   const rateText = Number.isFinite(rate) ? `${rate.toFixed(rate < 10 ? 1 : 0)} /s` : "";
   const lost = losses(node.report);
   return make(

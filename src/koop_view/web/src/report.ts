@@ -1,10 +1,9 @@
 // The figures of a report, drawn from the JSON in it: the Figure of report/document.py.
 
 import uPlot from "uplot";
-import { axis, Chart, color, drawMarks, padded, style } from "./chart";
+import { axis, Chart, COLORS, color, drawMarks, padded, style } from "./chart";
 import { short } from "./format";
 
-const COLORS = 8; // curves beyond that are dashed
 const FEW = 12; // points of a line that are marked
 const DAY = 86400; // [s]
 /** uPlot's table of labels: least increment, and what stands below where the day changes. */
@@ -145,16 +144,16 @@ function showTogether(u: uPlot, index: number | null, change: uPlot.Series): voi
 }
 
 /** Labels of the x axis: names, uPlot's own of times, or numbers. */
-function xLabels(panel: Panel, names: uPlot.Axis): uPlot.Axis {
+function xLabels(panel: Panel): uPlot.Axis {
   if (panel.time) return { size: 46, values: TIMES };
-  return panel.ticks.length ? names : {};
-}
-
-function options(panel: Panel, width: number): uPlot.Options {
-  const names: uPlot.Axis = {
+  if (!panel.ticks.length) return {};
+  return {
     splits: () => panel.ticks.map((_name, i) => i),
     values: (_u, splits) => splits.map((v) => place(panel, v)),
   };
+}
+
+function options(panel: Panel, width: number): uPlot.Options {
   const hasSteps = panel.series.some((s) => s.kind === "steps");
   const marks = panel.marks.map((mark) => ({ ...mark, color: color(mark.color) }));
   return {
@@ -170,7 +169,7 @@ function options(panel: Panel, width: number): uPlot.Options {
       },
     },
     axes: [
-      axis(34, panel.log_x, { label: panel.x_label, ...xLabels(panel, names) }),
+      axis(34, panel.log_x, { label: panel.x_label, ...xLabels(panel) }),
       axis(58, panel.log_y, { label: panel.y_label }),
     ],
     cursor: {

@@ -8,7 +8,7 @@ const SPAN_RAW = 10; // [s], drawn sample by sample
 export class TimeAxis {
   span = 60; // [s]; 0: all
   recorded = false; // times count from the begin of the recording
-  private part: [number, number] | undefined;
+  part: [number, number] | undefined; // zoomed into
   changed: () => void = () => undefined;
 
   constructor(
@@ -25,10 +25,6 @@ export class TimeAxis {
   zoom(from: number, to: number): void {
     this.part = [from, to];
     this.changed();
-  }
-
-  get isZoomed(): boolean {
-    return this.part !== undefined;
   }
 
   range(): [number, number] {
