@@ -211,11 +211,12 @@ def value_of(kind, length, rng):
     return values if bracket else values[0].item()
 
 
-def test_columns_come_in_batches_that_add_up(write_loop):
+def test_columns_come_in_batches_that_add_up(write_loop, monkeypatch):
+    monkeypatch.setattr("koop_bag.bag.columns.BATCH_BYTES", 50_000)
     with BagReader(write_loop(n=3000)) as reader:
         whole = read_columns(reader, "/ground_truth", ["step", "x", "log_time"])
         tables = {"/ground_truth": ["step", "x", "log_time"]}
-        parts = [part for _, part in iter_tables(reader, tables, batch_bytes=50_000)]
+        parts = [part for _, part in iter_tables(reader, tables)]
     assert len(parts) > 10
     for name, column in whole.items():
         assert np.array_equal(np.concatenate([part[name] for part in parts]), column)

@@ -19,10 +19,11 @@ class Server:
         return SimpleNamespace(done=lambda: there, result=lambda: f"answer to {request}")
 
 
-def test_an_answer_that_is_lost_is_asked_for_again():
+def test_an_answer_that_is_lost_is_asked_for_again(monkeypatch):
     now = [0.0]
+    monkeypatch.setattr("koop_node.client.question.time", SimpleNamespace(monotonic=lambda: now[0]))
     server = Server(lost=2)
-    asked = Question(server, "this", lambda: now[0])
+    asked = Question(server, "this")
     assert asked.answer() is None
     now[0] = 0.5 * ASK_AGAIN
     assert asked.answer() is None

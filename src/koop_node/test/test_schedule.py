@@ -1,5 +1,7 @@
 """Timers on a clock that the test sets."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from koop_node.node.schedule import Schedule, current, running
@@ -14,13 +16,15 @@ class Clock:
 
 
 @pytest.fixture
-def clock():
-    return Clock()
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr("koop_node.node.schedule.time", SimpleNamespace(monotonic=clock))
+    return clock
 
 
 @pytest.fixture
 def schedule(clock):
-    return Schedule(clock)
+    return Schedule()
 
 
 def advance(clock, schedule, seconds):

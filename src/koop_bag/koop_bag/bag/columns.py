@@ -95,10 +95,7 @@ def read_tables(bag: BagReader, tables: Mapping[str, Sequence[str] | None]) -> d
 
 
 def iter_tables(
-    bag: BagReader,
-    tables: Mapping[str, Sequence[str] | None],
-    batch_bytes: int = BATCH_BYTES,
-    start: int = 0,
+    bag: BagReader, tables: Mapping[str, Sequence[str] | None], start: int = 0
 ) -> Iterator[tuple[str, Columns]]:
     """`read_tables` in batches of (topic, columns): the memory needed does not grow with the bag.
 
@@ -109,9 +106,8 @@ def iter_tables(
     names: dict[int, str] = {}
     size = 0
     for records, channels in bag.blocks(wanted, start):
-        if pending and (
-            size >= batch_bytes or channels != names
-        ):  # another file may number its channels otherwise
+        # another file may number its channels otherwise
+        if pending and (size >= BATCH_BYTES or channels != names):
             yield from _decode_batch(b"".join(pending), names, wanted)
             pending, size = [], 0
         names = channels

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 ASK_AGAIN = 1.0  # [s] without an answer
@@ -17,20 +16,17 @@ class Question:
     The client is one of a service that is ready.
     """
 
-    def __init__(
-        self, client: Any, request: Any, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._client, self._clock = client, clock
-        self._request = request
+    def __init__(self, client: Any, request: Any) -> None:
+        self._client, self._request = client, request
         self._futures: list[Any] = []
         self._call()
 
     def answer(self) -> Any:
         """Return the answer; None until it has come. To be called again and again."""
-        if self._clock() - self._asked >= ASK_AGAIN:
+        if time.monotonic() - self._asked >= ASK_AGAIN:
             self._call()
         return next((future.result() for future in self._futures if future.done()), None)
 
     def _call(self) -> None:
-        self._asked = self._clock()
+        self._asked = time.monotonic()
         self._futures.append(self._client.call_async(self._request))

@@ -1,4 +1,4 @@
-"""Timers that the thread of the nodes waits for itself. Pure: no ROS, and the clock is an argument.
+"""Timers that the thread of the nodes waits for itself. Pure: no ROS.
 
 rclpy's EventsExecutor gives every clock a thread that waits and then wakes the one that runs the
 callbacks: two switches a tick, and two threads a node. Here the loop that runs the executor lets it
@@ -45,15 +45,14 @@ class ScheduledTimer:
     def restart(self, period: float | None = None, due: float | None = None) -> None:
         if period is not None:
             self.period = period
-        self.due = self._schedule.clock() + self.period if due is None else due
+        self.due = time.monotonic() + self.period if due is None else due
         self._schedule.push(self)
 
 
 class Schedule:
     """The timers of a process, the next one first, on a steady clock [s]."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self.clock = clock
+    def __init__(self) -> None:
         self.asked = 0
         """The signal that asked the process to end; 0: none has."""
         self.ended = False
@@ -71,11 +70,11 @@ class Schedule:
             heapq.heappop(self._heap)
         if not self._heap:
             return most
-        return min(max(self._heap[0][0] - self.clock(), 0.0), most)
+        return min(max(self._heap[0][0] - time.monotonic(), 0.0), most)
 
     def run_due(self) -> None:
         """Call what is due, each once: periods that are past are dropped, not made up for."""
-        now = self.clock()
+        now = time.monotonic()
         while self._heap and self._heap[0][0] <= now:
             due, _, timer = heapq.heappop(self._heap)
             if due != timer.due:

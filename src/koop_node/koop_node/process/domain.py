@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import random
 import socket
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -26,11 +26,11 @@ def current_domain() -> int:
     return int(text)
 
 
-def free_domain(domains: Sequence[int] = DOMAINS) -> int:
+def free_domain() -> int:
     """Return a ROS domain that nobody takes part in, so that a loop may run beside."""
     taken = set(_sockets().values())
-    free = [domain for domain in domains if domain not in taken]
-    return random.choice(free or domains)
+    free = [domain for domain in DOMAINS if domain not in taken]
+    return random.choice(free or DOMAINS)
 
 
 def only_observed(domain: int) -> bool:
