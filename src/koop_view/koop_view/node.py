@@ -6,14 +6,11 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Iterator
-from typing import Any
 
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from koop_bag.recorder.topics import polled
 from koop_core.errors import KoopError, one_line
 from koop_node.node.dds_profile import set_dds_profile
 from koop_node.node.rclpy_internals import WithoutEvents
@@ -25,26 +22,14 @@ from koop_view.serving import serve
 NICE = 5  # the loop comes first
 
 
-class ViewNode(WithoutEvents):
-    """The server's place in the ROS domain."""
-
-    def __init__(self) -> None:
-        # its own parameters are not part of the record of a run, nor to be changed
-        super().__init__("_koop_view", start_parameter_services=False)
-
-    @property
-    def subscriptions(self) -> Iterator[Any]:
-        """The subscriptions that the executor serves: not those that are polled."""
-        return (item for item in super().subscriptions if item.callback is not polled)
-
-
 def run(config: ViewConfig) -> int:
     """Serve the loops of the domain until told to stop; return the exit code."""
     end_with_parent()
     set_dds_profile(udp=True)
     os.nice(NICE)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node, executor = ViewNode(), EventsExecutor()
+    # its own parameters are not part of the record of a run, nor to be changed
+    node, executor = WithoutEvents("_koop_view", start_parameter_services=False), EventsExecutor()
     executor.add_node(node)
     try:
         source = LiveSource(node, executor, config)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -25,7 +25,7 @@ from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.drain import Drain
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.summary import SummaryWriter
-from koop_bag.recorder.topics import RecordedTopic, fetch, polled, skip, watch
+from koop_bag.recorder.topics import RecordedTopic, fetch, skip, watch
 from koop_core.errors import KoopError
 from koop_core.journal import Journal, journal_of_process
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
@@ -376,11 +376,6 @@ class RecorderNode(ManagedNode[RecorderRun]):
 
     def __init__(self, name: str = "recorder", **options: Any) -> None:
         super().__init__(name, RecorderRun, **options)
-
-    @property
-    def subscriptions(self) -> Iterator[Any]:
-        """The subscriptions that the executor serves, without the polled ones."""
-        return (item for item in super().subscriptions if item.callback is not polled)
 
     def close(self) -> None:
         if self.run is not None and self.active:

@@ -26,7 +26,7 @@ from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
 from koop_bag.recorder.drain import NO_IDS, NONE, Drain, Rows
 from koop_node.node.graph import UNKNOWN
 from koop_node.node.managed import message_type
-from koop_node.node.rclpy_internals import publishers_as_told
+from koop_node.node.rclpy_internals import polled, publishers_as_told
 
 _NO_LIMIT = 9223372036  # [s] DDS's 'no limit'
 
@@ -34,9 +34,8 @@ _NO_LIMIT = 9223372036  # [s] DDS's 'no limit'
 class RecordedTopic:
     """One topic being recorded, of a full name and a type; ``queue`` messages may wait.
 
-    The executor of the node that owns the subscription must not get to see it. ``announce`` gives
-    the topic a channel of the bag when its first message has come. Not before: only then it is
-    known which QoS its publishers offer.
+    ``announce`` gives the topic a channel of the bag when its first message has come. Not before:
+    only then it is known which QoS its publishers offer.
     """
 
     def __init__(
@@ -188,7 +187,7 @@ def subscribe(
     reliability: ReliabilityPolicy,
     durability: DurabilityPolicy,
 ) -> Any:
-    """Return a raw subscription that is polled; the node's executor must not get to see it."""
+    """Return a raw subscription that is polled, and that an executor of the node does not see."""
     profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability, durability=durability
     )
@@ -261,8 +260,3 @@ def offered_qos(profile: QoSProfile) -> OfferedQos:
     policies: dict[str, Any] = {name: word(getattr(profile, name)) for name in POLICIES}
     policies |= {name: span(getattr(profile, name)) for name in SPANS}
     return OfferedQos(depth=profile.depth, **policies)
-
-
-def polled(message: bytes) -> None:
-    """Stand in for the callback: no executor takes from such a subscription."""
-    raise AssertionError("recorded topics are polled, not executed")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Iterator
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -65,6 +66,11 @@ def publishers_as_told(node: Node, topic: str) -> list[dict[str, Any]]:
     return told
 
 
+def polled(message: bytes) -> None:
+    """Stand in for the callback of a subscription whose messages are taken by polling."""
+    raise AssertionError("polled, not executed")
+
+
 class WithoutEvents(Node):
     """A node without the callbacks for QoS events that rclpy installs by default.
 
@@ -80,6 +86,11 @@ class WithoutEvents(Node):
     def destroy_node(self) -> None:
         with leaving():
             super().destroy_node()
+
+    @property
+    def subscriptions(self) -> Iterator[Any]:
+        """The subscriptions that an executor serves, without the polled ones."""
+        return (item for item in super().subscriptions if item.callback is not polled)
 
     def create_publisher(self, *args: Any, **options: Any) -> Publisher:
         options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
