@@ -114,7 +114,7 @@ def _play(
 def refuse_others(monitor: Monitor, topics: Sequence[str]) -> None:
     """Raise LiveError if a topic has a publisher besides the run's own."""
     for topic in topics:
-        if (count := monitor.count_publishers(topic)) > 1:
+        if (count := monitor.node.count_publishers(topic)) > 1:
             domain = os.environ.get("ROS_DOMAIN_ID", "0")
             raise LiveError(
                 f"{count} publishers on '{topic}', 1 of this run: another loop runs on this ROS "

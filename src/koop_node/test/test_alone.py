@@ -84,13 +84,13 @@ def test_nodes_that_end_are_waited_for(monkeypatch, topic):
         spin = Client.spin
 
         def end_and_spin(other, seconds):
-            if other.count_publishers(f"/{topic}"):
+            if other.node.count_publishers(f"/{topic}"):
                 client.node.destroy_publisher(publisher)
             spin(other, seconds)
 
         monkeypatch.setattr(Client, "spin", end_and_spin)
         with alone():
-            assert client.count_publishers(f"/{topic}") == 0
+            assert client.node.count_publishers(f"/{topic}") == 0
 
 
 @pytest.mark.ros

@@ -49,10 +49,8 @@ def _read_summary(contents: FileContents) -> bool:
         if place.opcode == Opcode.STATISTICS:
             statistics = file.parse(Statistics, place)
             contents.counts.update(statistics.channel_message_counts)
-            contents.start, contents.end = (
-                statistics.message_start_time,
-                statistics.message_end_time,
-            )
+            contents.start = statistics.message_start_time
+            contents.end = statistics.message_end_time
             # a writer may leave out how many each channel has, and say how many there are
             counted = sum(contents.counts.values()) == statistics.message_count
         elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):

@@ -176,7 +176,7 @@ class LiveNodes:
                         [pid for node, pid in pids.items() if node != "recorder"],
                         [pid for node, pid in pids.items() if node == "recorder"],
                     )
-                if alone_on_it and monitor.count_publishers(state) > 1:
+                if alone_on_it and monitor.node.count_publishers(state) > 1:
                     alone_on_it = False
                     self._note(
                         f"another loop has joined the ROS domain at step "

@@ -73,7 +73,7 @@ def _published(domain: int, topics: list[str]) -> bool:
     with Client("koop_look") as client:
 
         def is_published() -> bool:
-            return any(client.count_publishers(topic) for topic in topics)
+            return any(client.node.count_publishers(topic) for topic in topics)
 
         return client.spin_until(is_published, DISCOVERY) and not client.spin_until(
             lambda: not is_published(), ENDING

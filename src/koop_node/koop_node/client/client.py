@@ -166,10 +166,6 @@ class Client:
         if not asked.result().success and (now := state()).id != aim:
             raise LiveError(f"{node} is {now.label} and cannot {transition}")
 
-    def count_publishers(self, topic: str) -> int:
-        """Return how many publishers of a topic are on this domain."""
-        return int(self.node.count_publishers(topic))
-
 
 class _Signals:
     """Keeps back the signals that end a program while a client is in a callback.

@@ -64,9 +64,10 @@ class Parameters:
         self._pending: dict[type, Any] | None = None
         values = self._values(self._configs)
         for item in by_name.values():
+            value = values[item.name]
             node.declare_parameter(
                 item.name,
-                _ros_value(values[item.name]),
+                list(value) if isinstance(value, tuple) else value,
                 descriptor(spec_of(item), item.default),
                 ignore_override=True,
             )
@@ -153,7 +154,3 @@ def refuse_unmeant(unknown: Iterable[str], by_name: Iterable[str], shared: Colle
                 "reliability are heard"
             )
     refuse_unknown([name for name in unknown if name not in shared], sorted(by_name))
-
-
-def _ros_value(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

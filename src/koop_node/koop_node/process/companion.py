@@ -15,9 +15,7 @@ import sys
 from contextlib import suppress
 from types import FrameType
 
-from koop_node.process.lifeline import VARIABLE, end_with_parent
-
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+from koop_node.process.lifeline import PR_SET_PDEATHSIG, VARIABLE, end_with_parent
 
 
 def main(words: list[str]) -> int:
@@ -61,7 +59,7 @@ def _signal(child: subprocess.Popen[bytes], number: int) -> None:
 
 def _end_with_companion() -> None:
     # if the companion is killed, its main thread has ended, too
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ busy machine threads of such a process waited for up to 4 s (docs/how-to/real-ti
 """
 DEFERRED = {signal.SIGINT, signal.SIGTERM}
 PATIENCE = 20.0  # [s] after which a process that does not stop is killed
-_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 @contextmanager
@@ -60,7 +60,7 @@ def end_with_parent() -> None:
     if os.environ.get(VARIABLE) != TIED[VARIABLE]:
         return
     # one that was stopped by SIGSTOP would see nothing
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGCONT)
     threading.Thread(target=_watch, daemon=True, name="lifeline").start()
 
 

@@ -13,7 +13,6 @@ from rclpy.serialization import deserialize_message
 from std_srvs.srv import SetBool, Trigger
 
 from koop_bag.cdr.definition import parse_definition
-from koop_bag.cdr.schema import load_service
 from koop_bag.errors import BagError
 from koop_core.cdr import CdrError, check_message
 from koop_node.client.question import Question
@@ -30,12 +29,6 @@ OFFERED = {
 """Types of services with which the page operates a loop."""
 ONCE = "std_srvs/srv/Trigger"
 """Type of services that must not be called twice."""
-
-
-def load(number: int, name: str, type_name: str) -> AdvertisedService:
-    """Return a service as it is advertised."""
-    request, response = load_service(type_name)
-    return AdvertisedService(number, name, type_name, request, response)
 
 
 def unpack(service: AdvertisedService, payload: bytes) -> Any:

@@ -17,7 +17,7 @@ from rclpy.qos import ReliabilityPolicy as Reliability
 from rclpy.serialization import serialize_message
 
 from koop_bag.bag.topics import COMMON_TOPICS
-from koop_bag.cdr.schema import load_schema
+from koop_bag.cdr.schema import load_schema, load_service
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import subscribe
 from koop_core.errors import KoopError, one_line
@@ -25,7 +25,7 @@ from koop_node.node.managed import message_type
 from koop_node.node.received import read_message, read_value
 from koop_view import protocol
 from koop_view.config import ViewConfig
-from koop_view.live.services import OFFERED, ServiceCaller, describe, load, unpack
+from koop_view.live.services import OFFERED, ServiceCaller, describe, unpack
 from koop_view.protocol import AdvertisedChannel, AdvertisedService
 from koop_view.roles import KnownLoops, find_loops
 from koop_view.session import ClientSession, Refused, ViewSource
@@ -201,7 +201,8 @@ class LiveSource(ViewSource):
             if name in self._types or type_name not in OFFERED:
                 continue
             self._types[name] = type_name
-            added.append(load(next(self._numbers), name, type_name))
+            texts = load_service(type_name)
+            added.append(AdvertisedService(next(self._numbers), name, type_name, *texts))
             if self._config.operate:
                 self._caller.prepare(type_name, name)
         self.services.update({service.number: service for service in added})
@@ -223,8 +224,8 @@ class LiveSource(ViewSource):
         """Take over the parameters of a node, and announce those that have changed."""
         items = self._collector.values[node].items()
         values = {f"{node}.{name}": value for name, value in items}
-        unset = object()
-        changed = {k: v for k, v in values.items() if self.parameters.get(k, unset) != v}
+        known = self.parameters.items()
+        changed = {k: v for k, v in values.items() if (k, v) not in known}
         self.parameters.update(changed)
         for session in self.sessions if changed else ():
             session.send_parameters(changed)
