@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
+from mcap.records import Schema
 
 from koop_bag.bag.contents import FileContents, message_records, survey
 from koop_bag.bag.files import find_files, leave_out_empty
@@ -20,6 +21,8 @@ from koop_bag.bag.metadata import (
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, inner_places
 from koop_bag.mcap.stored_file import stored_path
+
+_NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")  # of a channel without one
 
 
 class RawMessage(NamedTuple):
@@ -190,25 +193,19 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     def _take_in(self, item: FileContents) -> None:
         for number, channel in item.channels.items():
-            schema = item.schemas.get(channel.schema_id)
-            type_name, text, language = (
-                (schema.name, schema.data.decode("utf-8", "replace"), schema.encoding)
-                if schema
-                else ("", "", "")
-            )
+            schema = item.schemas.get(channel.schema_id, _NO_SCHEMA)
             topic = self._topics.get(channel.topic)
             if topic is None:
-                topic = BagTopic(
+                topic = self._topics[channel.topic] = BagTopic(
                     channel.topic,
-                    type_name,
-                    text,
-                    language,
+                    schema.name,
+                    schema.data.decode("utf-8", "replace"),
+                    schema.encoding,
                     channel.message_encoding,
                     dict(channel.metadata),
                 )
-                self._topics[channel.topic] = topic
-            elif topic.type_name != type_name:
-                types = f"{topic.type_name} and {type_name}"
+            elif topic.type_name != schema.name:
+                types = f"{topic.type_name} and {schema.name}"
                 raise BagError(
                     f"{self.path}: topic {topic.name} has messages of two types, {types}"
                 )

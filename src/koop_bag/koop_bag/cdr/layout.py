@@ -101,8 +101,7 @@ class LayoutFinder:
         self._spans = {}
         try:
             walk = Walk(message)
-            if self._count:
-                walk.visit(self._root, self._wanted)
+            walk.visit(self._root, self._wanted)
         except CdrError as error:
             raise BagError(f"a {self._root.name} is {error}") from None
         return Layout(tuple(walk.guards), self._spans)

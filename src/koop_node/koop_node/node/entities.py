@@ -24,13 +24,7 @@ from koop_core.journal import NOWHERE, Journal, Topic, append, journal_of_proces
 from koop_core.kernels import direct
 from koop_core.port import Port
 from koop_node.node import schedule
-from koop_node.node.graph import (
-    Listeners,
-    best_effort_only,
-    message_type_of,
-    publishers_of,
-    type_name,
-)
+from koop_node.node.graph import Listeners, message_type_of, publishers_of, type_name
 from koop_node.node.memory import Memory
 from koop_node.node.rclpy_internals import announce_parameters
 from koop_node.node.schedule import Timer
@@ -103,12 +97,11 @@ class Input:
 
     def match(self, publishers: Sequence[Any]) -> None:
         """Become best effort if one of the publishers could not be heard otherwise."""
-        qos = self.subscription.qos_profile
-        if qos.reliability == ReliabilityPolicy.RELIABLE and best_effort_only(publishers):
+        qos, best_effort = self.subscription.qos_profile, ReliabilityPolicy.BEST_EFFORT
+        offered = [publisher.qos_profile.reliability for publisher in publishers]
+        if qos.reliability == ReliabilityPolicy.RELIABLE and best_effort in offered:
             self.close()
-            self.subscription = self._make(
-                QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-            )
+            self.subscription = self._make(QoSProfile(depth=qos.depth, reliability=best_effort))
 
     def port(self, message: Any, names: Sequence[str]) -> Port:
         """Return what compiled code takes messages from that are laid out as ``message``."""

@@ -108,11 +108,6 @@ def unheard(subscription: Subscription, publishers: Sequence[Any]) -> list[str]:
     return texts
 
 
-def best_effort_only(publishers: Sequence[Any]) -> bool:
-    """Return whether one of the publishers is not heard by a reliable subscription."""
-    return any(p.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for p in publishers)
-
-
 def can_say_more(node: Node, publishers: Sequence[Any]) -> bool:
     """Return whether a publisher is there that may have something to say.
 
