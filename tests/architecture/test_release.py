@@ -13,7 +13,8 @@ PACKAGES = [parse_package(path) for path in sorted(ROOT.glob("src/*/package.xml"
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
 def test_a_package_names_the_license_of_the_repository(package):
     assert package.licenses == ["Apache-2.0"]
-    assert "Apache License" in (ROOT / "LICENSE").read_text()
+    assert "Apache License" in (ROOT / "LICENSES/Apache-2.0.txt").read_text()
+    assert (ROOT / "LICENSE").samefile(ROOT / "LICENSES/Apache-2.0.txt")
 
 
 def test_all_packages_have_one_version():
