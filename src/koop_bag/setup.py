@@ -14,10 +14,6 @@ setup(
         "test": ["hypothesis", "mcap-ros2-support", "pytest", "rosbags"],
         "store": ["fsspec", "universal-pathlib", "s3fs"],
     },
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="MCAP bags of ROS 2 topics: pure writer and reader, recorder and player nodes.",
-    license="Apache-2.0",
     entry_points={
         "console_scripts": [
             "recorder = koop_bag.executable:recorder",

@@ -12,9 +12,5 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="Benchmarks that print ratios to a baseline of the same run.",
-    license="Apache-2.0",
     entry_points={"koop.commands": ["bench = koop_bench.command:register"]},
 )

@@ -17,9 +17,5 @@ setup(
         ("share/" + PACKAGE + "/security", glob("security/*.xml")),
     ],
     extras_require={"test": ["pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="What starts the nodes: launch file, plan, running loops; viewer layouts.",
-    license="Apache-2.0",
     entry_points={"koop_stages": ["composed = koop_bringup.composed:find"]},
 )

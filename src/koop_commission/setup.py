@@ -11,10 +11,6 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="From an unknown rig to a damped one: check, excite, tune, verify, report.",
-    license="Apache-2.0",
     entry_points={
         "koop.commands": [
             "check = koop_commission.stages.check:register",

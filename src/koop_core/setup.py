@@ -11,8 +11,4 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="What every package builds on: configuration, streams, kernels. Needs no ROS.",
-    license="Apache-2.0",
 )

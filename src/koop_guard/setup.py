@@ -12,10 +12,6 @@ setup(
     ],
     extras_require={"test": ["hypothesis", "numpy", "pytest"]},
     zip_safe=False,
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="The guard: alone commands a rig, within limits, and returns theta to theta_safe.",
-    license="Apache-2.0",
     entry_points={
         "console_scripts": ["guard = koop_guard.executable:main"],
         "rclpy_components": ["koop_guard::GuardNode = koop_guard.node.guard_node:GuardNode"],

@@ -16,9 +16,5 @@ setup(
         "plants": ["jsbsim", "dpsim"],
         "test": ["pytest"],
     },
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="Hardware in the loop: scenarios with faults on the real nodes, verdicts.",
-    license="Apache-2.0",
     entry_points={"koop.commands": ["hil = koop_hil.command:register"]},
 )

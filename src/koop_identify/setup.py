@@ -11,8 +11,4 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["hypothesis", "pytest", "rosbags", "scipy"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="Bags as arrays, and Koopman models of them. Needs no ROS.",
-    license="Apache-2.0",
 )

@@ -12,10 +12,6 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest", "PyYAML", "rosbags"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="The koop commands that run a loop, replay, plot and inspect.",
-    license="Apache-2.0",
     entry_points={
         "console_scripts": ["koop = koop_lab.cli.main:main"],
         "koop.commands": [

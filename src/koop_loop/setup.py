@@ -11,8 +11,4 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="The closed loop as a pure function, its metrics and training. Needs no ROS.",
-    license="Apache-2.0",
 )

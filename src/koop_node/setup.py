@@ -12,9 +12,5 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="The ROS glue of the nodes: parameters, lifecycle, QoS, diagnostics, clients.",
-    license="Apache-2.0",
     entry_points={"console_scripts": ["container = koop_node.node.executable:main"]},
 )

@@ -11,9 +11,5 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["koop_lab", "dask", "pytest"], "workers": ["dask", "distributed"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="The study: declarative experiments on the offline loop, one report.",
-    license="Apache-2.0",
     entry_points={"koop.commands": ["study = koop_study.command:register"]},
 )

@@ -11,8 +11,4 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["hypothesis", "pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="From a recorded excitation to a controller and its prediction. Needs no ROS.",
-    license="Apache-2.0",
 )

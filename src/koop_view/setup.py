@@ -12,11 +12,6 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["hypothesis", "pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="The page that shows and operates a loop, the Foxglove protocol, "
-    "and the pages of reports.",
-    license="Apache-2.0",
     entry_points={
         "koop.commands": ["serve = koop_view.command:register"],
     },

@@ -12,10 +12,6 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="Koopman lifting: observables, EDMD, modes, model file, cost; and a thin node.",
-    license="Apache-2.0",
     entry_points={
         "console_scripts": ["lifter = koopman_lifter.executable:main"],
         "rclpy_components": ["koopman_lifter::LifterNode = koopman_lifter.node:LifterNode"],

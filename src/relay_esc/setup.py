@@ -11,10 +11,6 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["hypothesis", "pytest", "scipy"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="Relay extremum-seeking control: pure kernel and a thin node.",
-    license="Apache-2.0",
     entry_points={
         "console_scripts": ["esc = relay_esc.executable:main"],
         "rclpy_components": ["relay_esc::EscNode = relay_esc.node:EscNode"],

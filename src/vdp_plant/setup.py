@@ -11,10 +11,6 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     extras_require={"test": ["pytest", "scipy"]},
-    maintainer="koop maintainers",
-    maintainer_email="maintainers@koop.invalid",
-    description="The paper's Van der Pol plant with its interference: pure model and a thin node.",
-    license="Apache-2.0",
     entry_points={
         "console_scripts": ["plant = vdp_plant.executable:main"],
         "rclpy_components": ["vdp_plant::PlantNode = vdp_plant.node:PlantNode"],

@@ -143,11 +143,12 @@ def test_setup_py_names_extras_alone(package, setup_of):
 
 
 @pytest.mark.parametrize("package", OURS)
-def test_setup_py_and_package_xml_say_the_same(package, setup_of):
+def test_setup_py_says_of_package_xml_what_is_installed_alone(package, setup_of):
+    """The version of what is installed: a bag says which one wrote it."""
     options, root = setup_of(package), manifest(package)
-    for tag in ("name", "version", "description", "license", "maintainer"):
+    for tag in ("name", "version"):
         assert options[tag] == root.find(tag).text, tag
-    assert options["maintainer_email"] == root.find("maintainer").get("email")
+    assert not options.keys() & {"description", "license", "maintainer", "maintainer_email"}
 
 
 def test_the_packages_have_no_circle_not_even_by_their_tests():
