@@ -4,11 +4,10 @@
 It measures at its own pace with its own clock, and its actuator is late and slow:
 
     python rig.py galloping --scale 4 --duration 300
-    python rig.py absorber --map 0.5 1.6 23
 
 A rig is a module with the physics (such as ``absorber.py``): it names its message and what
 moves theta, ``stand.py`` and ``wire.py`` do the rest. It waits for a reader of its measurements,
-and prints a line when its time is over. With ``--map`` it prints the true map and ends.
+and prints a line when its time is over.
 """
 
 import argparse
@@ -19,7 +18,6 @@ import flight
 import inverter
 import oscillator
 import stand
-import static_map
 
 
 def main() -> int:
@@ -30,10 +28,7 @@ def main() -> int:
         module.register(rigs)
     args = parser.parse_args()
     try:
-        if args.map:
-            static_map.print_map(args)
-        else:
-            stand.run(args.make(args), args)
+        stand.run(args.make(args), args)
     except ValueError as error:
         print(f"rig: {error}", file=sys.stderr)
         return 1

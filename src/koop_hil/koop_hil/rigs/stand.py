@@ -179,10 +179,6 @@ def options() -> argparse.ArgumentParser:
         "--truth", action="store_true", help="also publish koop_msgs/PlantTruth on /ground_truth"
     )
     parser.add_argument("--log", metavar="FILE", help="true state of every second, as CSV")
-    parser.add_argument(
-        "--map", nargs=3, type=float, metavar=("LOW", "HIGH", "POINTS"),
-        help="only print the true amplitudes at so many held values of the first knob",
-    )  # fmt: skip
     parser.add_argument("--until-eof", action="store_true", help="end when stdin is closed")
     parser.add_argument(
         "--at", action="append", type=change, default=[], metavar="T:NAME=VALUE",
