@@ -153,7 +153,7 @@ def check_rig(
             with TemporaryDirectory() as folder:
                 sections = {GUARD: guard_section(rig, note)}
                 if rig.bounded is not None:  # its margin comes with the cost
-                    lifter = {"cost": "raw", "dt": rig.dt, "listeners": GUARD, **rig.lifter_input}
+                    lifter = {"cost": "raw", "listeners": GUARD, **rig.lifter_input}
                     sections["koopman_lifter"] = lifter
                 with LiveNodes(Path(folder), Plan(sections, rig=True)) as nodes:
                     session = Session(rig, client, listener, command_types, nodes, note)

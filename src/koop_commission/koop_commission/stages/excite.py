@@ -111,7 +111,7 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
     while (folder / (part := f"part-{number}")).exists():  # of one killed before it was noted
         number += 1
 
-    lifter = {"cost": "raw", "dt": rig.dt, "listeners": "recorder", **rig.lifter_input}
+    lifter = {"cost": "raw", "listeners": "recorder", **rig.lifter_input}
     recorder = {"output": str(folder / part)}
     parameters: dict[str, dict[str, Any]] = {
         "recorder": recorder, "koopman_lifter": lifter, GUARD: guard_section(rig, note),

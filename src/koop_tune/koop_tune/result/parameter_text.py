@@ -51,7 +51,7 @@ def annotated(nodes: Iterable[str], listed: Mapping[str, Parameters]) -> str:
 
 def list_lifter(rig: RigFile) -> Parameters:
     """Return the lifter's parameters that a rig file decides."""
-    return {name: (value, OF_RIG) for name, value in ({"dt": rig.dt} | rig.lifter_input).items()}
+    return {name: (value, OF_RIG) for name, value in rig.lifter_input.items()}
 
 
 def list_guard(rig: RigFile, note: Path | None) -> Parameters:

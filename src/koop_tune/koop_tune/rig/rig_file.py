@@ -108,9 +108,10 @@ class RigFile(RigLimits):
         return self.measured_source == parse_source(state_source(len(self.names)))
 
     @property
-    def lifter_input(self) -> dict[str, str]:
-        """The lifter's parameters that name what it hears; none where it needs none."""
-        values = {"measured": "" if self.speaks_state else self.measured}
+    def lifter_input(self) -> dict[str, float | str]:
+        """The lifter's parameters that say what it hears, and how often."""
+        values: dict[str, float | str] = {"dt": self.dt}
+        values["measured"] = "" if self.speaks_state else self.measured
         values["constraint"] = self.constraint if self.bounded else ""
         return {name: value for name, value in values.items() if value}
 
