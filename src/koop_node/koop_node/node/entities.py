@@ -154,7 +154,6 @@ class Entities:
         self._node = node
         self._prepare = prepare  # before a timer calls back; the executor does it for all else
         self._stack = ExitStack()
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._publishers: list[Publisher] = []
         self._open = True
         self._schedule = schedule.current()
@@ -249,7 +248,7 @@ class Entities:
             scheduled = self._schedule.timer(period, tick)
             self._stack.callback(scheduled.cancel)
             return scheduled
-        made = self._node.create_timer(period, tick, clock=self._steady)
+        made = self._node.create_timer(period, tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._stack.callback(self._node.destroy_timer, made)
         return _OfRos(made)
 

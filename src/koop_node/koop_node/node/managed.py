@@ -239,17 +239,15 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop_working()  # after an error, or told to shut down, a node may be active
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._stop_working()
-        self._release()
-        return TransitionCallbackReturn.SUCCESS
+    on_error = on_cleanup
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.finish(0)
-        return self.on_error(state)
+        return self.on_cleanup(state)
 
     def _attempt(self, action: Callable[[], None], entities: Entities) -> TransitionCallbackReturn:
         """Make a transition; one that fails midway leaves nothing behind."""

@@ -68,10 +68,8 @@ function seriesOf(s: Series, single: boolean): uPlot.Series[] {
       ];
     case "points":
       return [{ ...common, paths: () => null, points: { ...points, size: 8 } }];
-    case "steps": {
-      const paths = uPlot.paths.stepped?.({ align: 1 });
-      return [paths ? { ...common, paths } : common];
-    }
+    case "steps":
+      return [{ ...common, paths: uPlot.paths.stepped!({ align: 1 }) }];
     default:
       return [s.x.length <= FEW ? { ...common, points } : common];
   }
