@@ -61,11 +61,8 @@ def _read_summary(contents: FileContents) -> bool:
             data = file.content(Place(0, index.offset + head, index.length - head))
             _note(contents, Opcode.METADATA, data, index.offset)
     schemas = {channel.schema_id for channel in contents.channels.values()} - {0}  # 0: has none
-    return (
-        counted
-        and contents.counts.keys() <= contents.channels.keys()
-        and (schemas <= contents.schemas.keys())
-    )
+    has_channels = contents.counts.keys() <= contents.channels.keys()
+    return counted and has_channels and schemas <= contents.schemas.keys()
 
 
 def _note(contents: FileContents, opcode: int, data: bytes, where: int) -> None:

@@ -65,8 +65,6 @@ class RecorderRun(Run):
         chosen = wanted_topics(config.topics) or LOOP_TOPICS | COMMON_TOPICS
         self._awaited = {node.resolve_topic_name(name): kind for name, kind in chosen.items()}
         self._take_all = not config.topics.strip()
-        self._writer: BagWriter | None = None
-        self._summary: SummaryWriter | None = None  # of a ring
         self._journal = journal_of_process()
         self._followed: set[int] = set()  # topics of the journal
         self._drain = Drain(self._journal)
@@ -90,9 +88,8 @@ class RecorderRun(Run):
         self._versions = run_folder.write_versions(self._folder)
         options = config.writer_options()
         earlier = EarlierRuns(find_earlier(self._folder) if options.is_ring else ())
-        self._writer = BagWriter(self._folder / "bag", options, earlier=earlier)
-        if self._writer.options.is_ring:
-            self._summary = SummaryWriter(self._folder)
+        self._writer: BagWriter | None = BagWriter(self._folder / "bag", options, earlier=earlier)
+        self._summary = SummaryWriter(self._folder) if options.is_ring else None
         node.get_logger().info(f"recording to {self._folder}")
 
     def activate(self, entities: Entities) -> None:

@@ -12,9 +12,7 @@ from koop_node.process.domain import current_domain, free_domain, only_observed
 
 TOPICS = ("state", "cost", "theta", "koop_guard/state")  # that each have one publisher in a loop
 PREFIX = "koop/"  # of the name that a loop holds, before its domain and its namespace
-DISCOVERY = (
-    4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s, for those that missed the first
-)
+DISCOVERY = 4.0  # [s]: Fast DDS announces itself every 3 s, for those that missed the first time
 ENDING = 6.0  # [s] in which the nodes of a loop end whose command was killed
 
 

@@ -32,9 +32,7 @@ class StepCounter:
             return self._step
         since = stamp - self._stamp
         periods = round(min(max(since / self._dt, -1e15), 1e15))
-        if (
-            since < 0.0 and periods >= -STREAM.window
-        ):  # overtaken; the newest one stays the reference
+        if since < 0.0 and periods >= -STREAM.window:  # overtaken; the newest stays the reference
             return max(1, self._step + min(periods, -1))
         elif since < 0.0:
             self._step = 1  # the source started again

@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 VARIABLE = "KOOP_LIFELINE"
@@ -65,11 +65,9 @@ def end_with_parent() -> None:
 
 
 def _watch() -> None:
-    try:
+    with suppress(OSError):  # a terminal that has gone
         while os.read(0, 1024):
             pass
-    except OSError:  # a terminal that has gone
-        pass
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(PATIENCE)
     os.kill(os.getpid(), signal.SIGKILL)
