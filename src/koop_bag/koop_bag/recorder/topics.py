@@ -248,15 +248,12 @@ def _together(channel: int, parts: Sequence[Rows]) -> Rows:
 def offered_qos(profile: QoSProfile) -> OfferedQos:
     """Return a publisher's QoS in the bag's terms."""
 
-    def word(policy: Any) -> str:
-        return str(policy.name).lower()
-
     def span(duration: Duration) -> tuple[int, int] | None:
         seconds, nanoseconds = divmod(duration.nanoseconds, 1_000_000_000)
         limited = duration.nanoseconds > 0 and seconds < _NO_LIMIT
         return (seconds, nanoseconds) if limited else None
 
     # discovery has neither history nor depth: they are 'unknown' and 0
-    policies: dict[str, Any] = {name: word(getattr(profile, name)) for name in POLICIES}
+    policies = {name: getattr(profile, name).name.lower() for name in POLICIES}
     policies |= {name: span(getattr(profile, name)) for name in SPANS}
     return OfferedQos(depth=profile.depth, **policies)

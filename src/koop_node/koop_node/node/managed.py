@@ -146,8 +146,8 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         self.parameters = Parameters(
             self,
             self.config_classes(),
-            self._check_parameters,
-            self._parameters_changed,
+            lambda configs, names: (self.run or Run()).check_parameters(configs, names),
+            lambda names: (self.run or Run()).parameters_changed(names),
             [*global_arguments, *(options.get("cli_args") or ())],
         )
         self._while_there = Entities(self, self._take_back)
@@ -267,8 +267,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         entities, self._while_active = self._while_active, None
         if entities is not None:
             try:
-                if self.run is not None:
-                    self.run.deactivate()
+                (self.run or Run()).deactivate()
             finally:
                 entities.close()
 
@@ -281,16 +280,6 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         finally:
             if entities is not None:
                 entities.close()
-
-    # -- parameters ---------------------------------------------------------------------------
-
-    def _check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
-        if self.run is not None:
-            self.run.check_parameters(configs, names)
-
-    def _parameters_changed(self, names: set[str]) -> None:
-        if self.run is not None:
-            self.run.parameters_changed(names)
 
     # -- diagnostics --------------------------------------------------------------------------
 
