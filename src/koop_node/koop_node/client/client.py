@@ -27,10 +27,12 @@ class Client:
     """A node with a context and an executor of its own; a context manager.
 
     By default the ROS domain is the one of the environment; ``udp`` is
-    :func:`koop_node.node.dds_profile.set_dds_profile`'s.
+    :func:`koop_node.node.dds_profile.set_dds_profile`'s, the options are every rclpy node's.
     """
 
-    def __init__(self, name: str, domain: int | None = None, udp: bool = True) -> None:
+    def __init__(
+        self, name: str, domain: int | None = None, udp: bool = True, **options: Any
+    ) -> None:
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
 
@@ -40,7 +42,7 @@ class Client:
         set_dds_profile(udp)
         self._context = rclpy.Context()
         self._context.init(args=[], domain_id=domain)
-        self.node = WithoutEvents(name, context=self._context)
+        self.node = WithoutEvents(name, context=self._context, **options)
         self._executor: Any = EventsExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._services: dict[str, Any] = {}

@@ -11,7 +11,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy as Durability
 from rclpy.qos import ReliabilityPolicy as Reliability
 from rclpy.serialization import serialize_message
@@ -21,6 +21,7 @@ from koop_bag.cdr.schema import load_schema, load_service
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import subscribe
 from koop_core.errors import KoopError, one_line
+from koop_node.client.client import Client
 from koop_node.node.managed import message_type
 from koop_node.node.received import read_message, read_value
 from koop_view import protocol
@@ -42,15 +43,16 @@ DIAGNOSTICS, CHANGES = "/diagnostics", "/parameter_events"
 
 
 class LiveSource(ViewSource):
-    """The loops of a ROS domain, heard by a node whose executor is polled here."""
+    """The loops of a ROS domain, heard by a client that is polled here."""
 
     mode = "live"
 
-    def __init__(self, node: Node, executor: Any, config: ViewConfig) -> None:
+    def __init__(self, client: Client, config: ViewConfig) -> None:
         super().__init__()
-        self._node, self._executor, self._config = node, executor, config
-        self._caller = ServiceCaller(node)
-        self._collector = ParameterCollector(node, "/")
+        self._client, self._config = client, config
+        self._node = client.node
+        self._caller = ServiceCaller(self._node)
+        self._collector = ParameterCollector(self._node, "/")
         self._known = KnownLoops()
         self._reported: dict[str, float] = {}  # when a node's newest report came [s]
         self._types: dict[str, str] = {}  # of the topics and services that were examined
@@ -105,7 +107,7 @@ class LiveSource(ViewSource):
 
     def _poll(self, now: float) -> None:
         for _ in range(EVENTS if self._caller.waiting else 2):
-            self._executor.spin_once(timeout_sec=0.0)
+            self._client.spin(0.0)
         for name, topic in list(self._topics.items()):
             taken = list(_waiting(*topic))
             for viewer, subscription in self._viewers.get(name, ()):
