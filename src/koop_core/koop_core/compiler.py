@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numba
 from numba import types
-from numba.core import entrypoints, ir
+from numba.core import entrypoints, environment, ir
 from numba.core.caching import FunctionCache
 from numba.core.cgutils import ir as llvm  # llvmlite's, of which this is the one use
 from numba.core.compiler_lock import global_compiler_lock
@@ -26,6 +26,19 @@ from koop_core.named_tuple import replace
 ir.Scope.__deepcopy__ = lambda self, memo: self
 # Numba would look through all that is installed for extensions of it; these kernels need none.
 entrypoints._already_initialized = True
+rebuild = environment._rebuild_env
+
+
+def rebuild_environment(module: str, constants: Any, name: str) -> Any:
+    """Return what a kept function has of Python: its constants, and globals that it never reads.
+
+    A function of numba's own, such as an array's ``max``, would import its module for them, and
+    with it most of the compiler.
+    """
+    return rebuild("numba" if module.startswith("numba.") else module, constants, name)
+
+
+environment._rebuild_env = rebuild_environment
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types

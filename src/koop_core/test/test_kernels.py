@@ -32,7 +32,7 @@ class State(NamedTuple):
 def step(state, dt):
     history = np.empty_like(state.history)  # memory of its own
     history[:-1] = state.history[1:]
-    history[-1] = state.position
+    history[-1] = min(state.position, state.history.max())  # numba has max in another module
     return State(state.position * (1.0 - dt), history)
 """
 KEPT = """
@@ -72,7 +72,7 @@ def test_a_kernel_that_was_kept_is_loaded_without_the_compiler(tmp_path):
     first, second = (lines.splitlines() for lines in said(KEPT))
     assert [first[0], second[0]] == ["0 True", "1 False"]  # one of them has compiled it
     result = first[1]
-    loaded, again, later = said(LATER)[0].splitlines()
+    loaded, again, later = said(LATER)[1].splitlines()  # of the one that has compiled it
     assert loaded == "1 False"
     assert result == again == "1.125 [2.0, 2.0, 1.5]"
     assert later == "3.1875 True"  # 1.5 + 1.125 + 0.5625
