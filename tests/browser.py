@@ -31,7 +31,7 @@ def browse(
          "--disable-background-networking", f"--user-data-dir={folder / 'profile'}",
          "--virtual-time-budget=10000", f"--blink-settings=preferredColorScheme={int(not dark)}",
          "--window-size=1400,1000", "--dump-dom", path.as_uri()],
-        capture_output=True, text=True, check=False, timeout=120,
+        capture_output=True, text=True, check=False, timeout=240,
         env={**os.environ, "HOME": str(folder)},
     )  # fmt: skip
     actual = re.search(r'data-result="([^"]*)"', done.stdout)

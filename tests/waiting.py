@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-TIMEOUT = (
-    60.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
-)
+# [s] for anything to happen on a busy machine; nothing waits this long if all is well
+TIMEOUT = 120.0
 
 
 def wait(

@@ -61,7 +61,7 @@ def test_the_end_of_one_ends_all_with_its_exit_code(start):
 )
 def test_a_container_says_in_one_line_what_it_cannot_do(own_domain, words, code, text):
     done = subprocess.run(
-        [executable("container"), *words], capture_output=True, text=True, timeout=60
+        [executable("container"), *words], capture_output=True, text=True, timeout=240
     )
     assert done.returncode == code
     assert text in done.stdout + done.stderr

@@ -51,7 +51,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
         "recorder: {ros__parameters: {queue: 20000, output: /nowhere}}\n"
     )
     process = demo(folder, "--params-file", str(file), "--cost", "raw", "--seed", "2")
-    printed, _ = process.communicate(timeout=120)
+    printed, _ = process.communicate(timeout=240)
     assert process.returncode == 0, printed
     for text in ("raw cost", "IAE_theta [s]", "lost: none", str(folder)):
         assert text in printed

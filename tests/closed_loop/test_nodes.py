@@ -183,7 +183,7 @@ for name in (
 def test_help_lists_the_parameters_and_a_bad_one_stops_the_node_with_one_line():
     """Of each node the main function; the imports are paid for once."""
     done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_A_RUN], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", WITHOUT_A_RUN], capture_output=True, text=True, timeout=240
     )
     assert done.returncode == 0
     of_each_node = done.stdout.split("exit code 0\n")

@@ -15,7 +15,7 @@ from koop_lab.cli.main import main, parser
 from koop_lab.commands.up import read_options
 from koop_loop.parameters import read
 
-TIMEOUT = 60.0  # [s] to start four processes on a busy machine
+TIMEOUT = 120.0  # [s] to start four processes on a busy machine
 FAST = (  # the first cost of a joined run comes after 0.1 s
     "/**/koopman_lifter: {ros__parameters: {cost: raw, omega_h: 300.0, omega_l: 30.0}}\n"
     "/**/relay_esc: {ros__parameters: {dwell: 0.1, tau_f: 0.1}}\n"

@@ -84,7 +84,7 @@ def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, p
         wait_until(lambda: probe.executor.spin_once(timeout_sec=0.0) or len(signs) > count + 1)
         return True
 
-    silence = 6.0 if time_out is None else 12.0  # [s]
+    silence = 6.0 if time_out is None else 40.0  # [s]; the test ends once a time-out shows
     rows, _ = rows_of(RIG, ask=ask, silence=silence)
     assert asked, rows  # not asked where anything is BAD
     assert f"up to {silence:g} s without a guard" in asked[-1]
@@ -99,7 +99,7 @@ def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, p
     else:
         seconds = float(re.search(r"within (\S+) s without a command the rig oscillates", text)[1])
         assert 2.0 < seconds < silence  # at once, but on a busy machine
-        assert silent < silence  # the test ends once it is seen
+        assert silent < silence
 
 
 def test_theta_returns_though_the_test_of_the_time_out_is_killed(fast_rig, tmp_path):

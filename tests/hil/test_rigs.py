@@ -34,7 +34,7 @@ def rig(*words, **more):
     """Run a rig until it has ended."""
     return subprocess.run(
         [sys.executable, str(RIGS / "rig.py"), *map(str, words)], capture_output=True, text=True,
-        timeout=60, env={**os.environ, **more},
+        timeout=240, env={**os.environ, **more},
     )  # fmt: skip
 
 

@@ -74,7 +74,7 @@ class Clone:
     def koop(self, *arguments: str, **environment: str) -> tuple[int, str, str]:
         """Return exit code, standard output and standard error."""
         process = self.start(*arguments, **environment)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=240)
         return process.returncode, out, err
 
     def calls(self) -> list[str]:
@@ -252,7 +252,7 @@ def test_removed_package_leaves_nothing_behind(ready: Clone) -> None:
 
 def test_concurrent_calls_set_up_once(clone: Clone) -> None:
     processes = [clone.start("shell", "-c", "true", SLOW_PIP="1") for _ in range(3)]
-    errors = [process.communicate(timeout=60)[1] for process in processes]
+    errors = [process.communicate(timeout=240)[1] for process in processes]
     assert [process.returncode for process in processes] == [0, 0, 0], errors
     assert [call.split()[1] for call in clone.calls()] == ["venv", "uv", "build"]
 

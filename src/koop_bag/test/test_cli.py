@@ -170,7 +170,7 @@ def test_play_publishes_a_bag(write_loop, messages):
         received = talker.collect("/state", LOOP["/state"])
         try:
             talker.spin_until(lambda: len(received) == 20, "all messages")
-            output, _ = player.communicate(timeout=30)
+            output, _ = player.communicate(timeout=240)
         finally:
             player.kill()
     assert player.returncode == 0, output

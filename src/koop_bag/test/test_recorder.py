@@ -197,7 +197,7 @@ def test_a_full_disk_ends_the_recorder_with_an_error_and_the_bag_is_safe(tmp_pat
             if recorder.process.poll() is not None:
                 break
         publish(publishers, messages.loop, [k])  # the others go on
-        output = recorder.process.communicate(timeout=30)[0].decode()
+        output = recorder.process.communicate(timeout=240)[0].decode()
         assert recorder.process.returncode == 1
         assert "no space left" in output
         assert "Traceback" not in output

@@ -72,7 +72,7 @@ def test_a_note_that_could_not_be_written_is_tried_again(tmp_path):
 
     keeper = Keeper(str(note), current)
     for _ in range(2):
-        assert asked.acquire(timeout=30.0)
+        assert asked.acquire(timeout=240)
     assert keeper.failure.startswith(f"{note}: ")
     note.parent.mkdir()
     keeper.close()
@@ -88,12 +88,12 @@ def test_a_note_is_written_when_it_is_new_and_a_last_time_at_the_end(tmp_path):
         return notes[-1]
 
     keeper = Keeper(str(note), current)
-    assert asked.acquire(timeout=30.0)
+    assert asked.acquire(timeout=240)
     assert not note.exists()
     notes.append(LEFT)
     keeper.hurry()
     for _ in range(2):  # the second time, the first one has been written
-        assert asked.acquire(timeout=30.0)
+        assert asked.acquire(timeout=240)
     assert read(note) == LEFT
     notes.append(replace(LEFT, trip=TRIP))
     keeper.close()

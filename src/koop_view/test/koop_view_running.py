@@ -17,7 +17,7 @@ from koop_view.protocol import SUBPROTOCOLS
 from koop_view.server import ViewServer
 from koop_view.session import ViewSource
 
-TIMEOUT = 60.0  # [s]; nothing takes this long if all is well
+TIMEOUT = 120.0  # [s]; nothing takes this long if all is well
 
 
 @contextmanager
