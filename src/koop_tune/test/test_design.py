@@ -291,6 +291,17 @@ def test_an_oscillation_too_slow_for_the_windows_counts_if_theta_makes_it():
     assert 0.55 < design.static_map().best() < 0.7  # where hypot(exp(0.7 - 4 u), u - 0.5) is least
 
 
+def test_what_is_slower_counts_beside_a_stronger_line_that_does_not_react():
+    """Failed before: only windows of which a hold has many were looked at, and those hid it."""
+    rig = Simulated(lambda u: 0.7 - 4.0 * u, interference=3.0, slow=lambda u: max(u - 0.5, 0.0))
+    rig.slow_frequency = 0.32
+    settings = replace(DESIGN, fewest=40)  # of a rig that settles slowly
+    design, moves = excite(rig, replace(RIG, time=6e4), settings=settings)
+    assert any("what is slower reacts" in move.why for move in moves)
+    assert design.ended == KNOWN
+    assert 0.55 < design.static_map().best() < 0.7
+
+
 @pytest.mark.parametrize("slow", [lambda u: 0.3, lambda u: 0.25 + 0.25 * u])
 def test_what_is_slower_and_does_not_react_or_is_faint_needs_no_longer_windows(slow):
     rig = Simulated(wide, noise=0.5, slow=slow, seed=1)  # holds long enough to see it

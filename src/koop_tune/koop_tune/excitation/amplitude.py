@@ -384,7 +384,7 @@ def choose_amplitude(
     if not _is_most(mean, left, reacts & ~left):
         reacts &= repeats
     if not beside:
-        reacts &= ~_is_beside_line(mean, reacts)
+        reacts &= ~_is_beside_line(windows, mean, reacts)
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
     background = np.minimum(_beside(windows, density, reacts), most)
     unsure = AMPLITUDE.doubt * background
@@ -446,14 +446,18 @@ def _is_flank(mean: Array, line: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(strongest > most)
 
 
-def _is_beside_line(mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _is_beside_line(
+    windows: Windows, mean: Array, reacts: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Return whether groups are beside a quiet line that is about as strong, shape (n, G).
 
     What two lines leak into the bins between them beats with the time, and a slow one with its own
     phase: a few windows after one another see the same of it, the next hold sees other.
     """
-    quiet = np.where(reacts, 0.0, mean.min(axis=0))
+    edges = np.array(windows.edges)
+    quiet = np.repeat(np.where(reacts, 0.0, mean.min(axis=0)), np.diff(edges), axis=1)  # of a bin
     strongest = maximum_filter1d(quiet, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
+    strongest = np.maximum.reduceat(strongest, edges[:-1] - 1, axis=1)
     return np.asarray(reacts & (strongest > AMPLITUDE.line * mean.max(axis=0)))
 
 

@@ -370,8 +370,9 @@ class Design:
                 continue  # looked at before
             if slower:
                 return windows.length
-            holds = [h for h in near if h.size >= s.fewest * windows.length]
-            powers = [windows.powers(h.x[h.size // 2 :]) for h in holds]
+            holds = [h for h in near if h.size >= 2 * windows.length]
+            parts = [h.x[min(h.size // 2, h.size - 2 * windows.length) :] for h in holds]
+            powers = [windows.powers(part) for part in parts]
             amplitude = choose_amplitude(windows, powers, self.rig.weights) if powers else None
             if amplitude is None:
                 continue
@@ -637,7 +638,7 @@ class Design:
             near = np.flatnonzero(moves & (y <= y[moves].min() + math.log(s.far)))
             self.period = reacts.period([means[i] for i in near])
             length = window_length(self.period, s.window, self.rig.dt)
-            if self._queue and self._slow:  # until theta was where that shows
+            if self._slow:  # shorter ones hid it
                 length = max(length, self.windows.length)
             elif not self._queue:
                 longest = min(hold.size for hold in holds) // s.brief
