@@ -57,7 +57,7 @@ class KnobsSettings(Settings):
         low=0.0,
     )
     steps: int = judged(4, "holds at it for each knob, at most", low=1)
-    cycles: int = judged(2, "times that the sections are found out while the best moves", low=1)
+    cycles: int = judged(4, "times that the sections are found out while the best moves", low=1)
     away: float = judged(2.0, "amplitude over the best beside a section's best, at first", low=1.0)
     least: float = judged(0.03, "distance of these, at least, in ranges", low=1e-3, high=0.5)
     most: float = judged(0.3, "the same at most", low=1e-3, high=0.5)
