@@ -341,7 +341,7 @@ def choose_amplitude(
     windows: Windows,
     holds: Sequence[Array],
     importance: Sequence[float] = (),
-    places: Sequence[tuple[float, int]] = (),
+    places: Sequence[tuple[Array, int]] = (),
     hidden: Sequence[float] = (),
     beside: bool = False,
 ) -> Amplitude | None:
@@ -355,8 +355,9 @@ def choose_amplitude(
         Powers of the windows of each hold, W at least 2.
     importance : sequence of float, optional
         w_c of each channel; alike unless given.
-    places : sequence of (float, int), optional
-        Position of theta at each hold, NaN where it tells nothing, and the side it came from.
+    places : sequence of (ndarray, int), optional
+        Position of theta at each hold, shape (n,) for n knobs, NaN where it tells nothing, and the
+        side it came from.
     hidden : sequence of float, optional
         Power that a sensor's step may hide in each channel, see :func:`find_hidden`.
     beside : bool
@@ -493,7 +494,7 @@ def _change(mean: Array, doubt: Array) -> Array:
     return np.asarray((level - doubt).max(axis=0) - (level + doubt).min(axis=0))
 
 
-def _repeats(mean: Array, error: Array, places: Sequence[tuple[float, int]]) -> NDArray[np.bool_]:
+def _repeats(mean: Array, error: Array, places: Sequence[tuple[Array, int]]) -> NDArray[np.bool_]:
     """Return whether groups have about the same power where theta is the same, shape (n, G).
 
     An interference that comes and goes differs as much there as over the whole range, and as much
@@ -501,13 +502,13 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[float, int]]) -> 
     less from place to place. With hysteresis only holds that theta came to from the same side are
     alike.
     """
-    at, level = np.array(places).reshape(-1, 2), np.log(mean)
+    at, level = np.array([[*u, side] for u, side in places]), np.log(mean)
+    if not at.size:
+        return np.ones(mean.shape[1:], bool)
     apart = np.abs(at[:, None] - at).max(axis=2)
     first, again = np.nonzero(np.triu(apart < AMPLITUDE.same, 1))
-    known = np.flatnonzero(np.isfinite(at).all(axis=1))
-    order = known[np.lexsort(at[known].T)]  # by side, then position
-    one, next_one = order[:-1], order[1:]
-    moved = apart[one, next_one] >= AMPLITUDE.same
+    beyond = np.where(apart >= AMPLITUDE.same, apart, math.inf)  # NaN is not
+    moved, nearest = np.isfinite(beyond).any(axis=1), beyond.argmin(axis=1)
     if first.size < AMPLITUDE.pairs or not moved.any():
         return np.ones(mean.shape[1:], bool)
 
@@ -515,7 +516,7 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[float, int]]) -> 
         squares = (level[a] - level[b]) ** 2 - error[a] ** 2 - error[b] ** 2
         return np.asarray(0.5 * squares.mean(axis=0) >= AMPLITUDE.comes * level.var(axis=0))
 
-    return ~(differs(first, again) & differs(one[moved], next_one[moved]))
+    return ~(differs(first, again) & differs(np.flatnonzero(moved), nearest[moved]))
 
 
 def _is_most(mean: Array, part: NDArray[np.bool_], rest: NDArray[np.bool_]) -> bool:

@@ -16,7 +16,7 @@ and who listens is another's, be it ``koop excite`` with a rig or a study with a
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -129,10 +129,12 @@ class Design:
         Thresholds.
     after : Design, optional
         That of another knob before: its windows and patience, and what was heard, go on.
-    others : sequence of Hold
-        Holds elsewhere, which count for what is summed.
+    others : sequence of (Hold, ndarray)
+        Holds elsewhere, with the position of all knobs, which count for what is summed.
     first : sequence of float, optional
         First positions, in place of those over the whole range.
+    place : callable, optional
+        Position of all knobs at one of this knob; it alone unless given.
 
     Attributes
     ----------
@@ -157,10 +159,11 @@ class Design:
         windows: Windows | None = None,
         settings: DesignSettings = DESIGN,
         after: Design | None = None,
-        others: Sequence[Hold] = (),
+        others: Sequence[tuple[Hold, Array]] = (),
         first: Sequence[float] | None = None,
+        place: Callable[[float], Array] | None = None,
     ) -> None:
-        self.rig, self._settings, self._first = rig, settings, first
+        self.rig, self._settings, self._first, self._place = rig, settings, first, place
         self.holds, self._others = list(holds), list(others)
         self.windows: Windows = windows or (after.windows if after else Windows(64, rig.dt))
         self.amplitude: Amplitude | None = None
@@ -548,7 +551,7 @@ class Design:
         )  # fmt: skip
         self._next, self._usual, self._target = 0, self._wander(), self._target_error()
         least = s.brief * self.windows.length
-        known = [*self.holds, *(hold for hold in self._others if hold.size >= least)]
+        known = [*self.holds, *(hold for hold, _ in self._others if hold.size >= least)]
         levels = [self.rig.sense * hold.level(self.summed).mean for hold in known]
         self._best = min(levels, default=math.inf)
         self._elapsed = elapsed
@@ -617,14 +620,15 @@ class Design:
 
     def _choose(self) -> None:
         """Choose what is summed, and the windows for it, from all holds so far."""
-        holds = [*([self._heard] if self._heard else []), *self._others, *self.holds]
+        elsewhere = [hold for hold, _ in self._others]
+        holds = [*([self._heard] if self._heard else []), *elsewhere, *self.holds]
         holds = [hold for hold in holds if hold.size >= 2 * self.windows.length]
         if len(holds) < 2:
             return
         s, before = self._settings, self.windows
         for last in (False, False, True):
             powers = [hold.late(self.windows) for hold in holds]
-            places = [(h.u if h in self.holds else math.nan, h.side) for h in holds]
+            places = [self._find_place(hold) for hold in holds]
             hidden = find_hidden(*zip(*(hold.steps() for hold in holds), strict=True))
             known = self.windows, powers, self.rig.weights, places, hidden
             if last or (reacts := choose_amplitude(*known, beside=True)) is None:
@@ -656,6 +660,15 @@ class Design:
             there = {*self._queue, *(hold.u for hold in self.holds)}
             self._queue += [u for u in dict.fromkeys(short) if u not in there]
         self.amplitude = choose_amplitude(*known) if len(holds) > 1 else None
+
+    def _find_place(self, hold: Hold) -> tuple[Array, int]:
+        """Return the position of all knobs at a hold, and the side that it was come to from."""
+        if self._place is None:
+            return np.array([hold.u if hold in self.holds else math.nan]), hold.side
+        if hold in self.holds:
+            return self._place(hold.u), 0
+        known = [place for other, place in self._others if other is hold]
+        return known[0] if known else np.full_like(self._place(0.0), math.nan), 0
 
     @property
     def left(self) -> int:

@@ -351,8 +351,8 @@ class KnobsDesign:
         """Begin to decide about a knob, all holds elsewhere known."""
         if self._done or holds:  # else it is the first, which knows what was heard
             self._design = Design(
-                self._part, holds, None, self._of_section, self._design,
-                [hold for hold, _ in self._done], first,
+                self._part, holds, None, self._of_section, self._design, self._done, first,
+                self._at,
             )  # fmt: skip
 
     def _look_along(self, knob: int, place: Array) -> None:
