@@ -34,7 +34,7 @@ NODES = ("vdp_plant", "koopman_lifter", "relay_esc", "recorder")
 
 
 def ended(process):
-    return process.process.wait(60.0)
+    return process.process.wait(120.0)
 
 
 def value_of(value):

@@ -54,7 +54,7 @@ from koop_tune.rig.rig_file import as_values
 from relay_esc.config import EscConfig
 
 pytestmark = pytest.mark.ros
-LONG = 60.0  # [s] to start five processes on a busy machine
+LONG = 120.0  # [s] to start five processes on a busy machine
 SAFE = 1.0
 SHARED = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate", "theta_start",
           "theta_safe", "channel_max")  # fmt: skip

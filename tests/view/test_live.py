@@ -36,7 +36,7 @@ GOLDEN = HERE.parents[1] / "recordings" / "golden" / "run"
 NO_NETWORK = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ECONNRESET|ETIMEDOUT|ENETUNREACH")
 FRAMES = int(os.environ.get("KOOP_FRAMES", "10000"))  # by hand: 100 000
 LOST_CLIENTS = 300
-TIMEOUT = 60.0  # [s]
+TIMEOUT = 120.0  # [s]
 LEVEL = "document.querySelector('#health [data-node=\"/koopman_lifter\"]')?.dataset.level"
 ACT = "document.querySelector('#acts li')"
 
