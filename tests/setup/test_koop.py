@@ -277,6 +277,12 @@ def test_other_machines_are_left_alone_unless_the_user_says_otherwise(ready: Clo
     assert ready.koop("shell", "-c", shell, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")[1] == "SUBNET\n"
 
 
+def test_idle_threads_sleep_soon_unless_the_user_says_otherwise(ready: Clone) -> None:
+    shell = "echo $OPENBLAS_THREAD_TIMEOUT"
+    assert ready.koop("shell", "-c", shell)[1] == "20\n"
+    assert ready.koop("shell", "-c", shell, OPENBLAS_THREAD_TIMEOUT="26")[1] == "26\n"
+
+
 def test_tests_get_their_arguments_and_the_browser_that_is_there(ready: Clone) -> None:
     (ready.root / ".venv/bin/python").write_text('#!/bin/sh\necho "$CHROMIUM $*"\n')
     ready.add_tool("chromium", "")
