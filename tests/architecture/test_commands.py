@@ -93,7 +93,12 @@ def test_what_is_no_command_is_named(word, message, capsys):
 
 @pytest.mark.parametrize(
     ("code", "heavy"),
-    [("overview()", "numpy"), ("parser('up')", "numba"), ("parser('demo')", "matplotlib")],
+    [
+        ("overview()", "numpy"),
+        ("parser('up')", "numba"),
+        ("parser('demo')", "matplotlib"),
+        ("parser('commission')", "scipy"),
+    ],
 )
 def test_only_what_a_command_needs_is_loaded(code, heavy):
     program = (

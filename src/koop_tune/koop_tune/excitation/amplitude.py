@@ -28,7 +28,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.origin import studied
@@ -440,10 +439,17 @@ def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np
     return np.asarray(at_most | (part & falls).any(axis=0))
 
 
+def _strongest_near(power: Array) -> Array:
+    """Return the most power within the lobe of each group, shape (n, G); beyond the ends is 0."""
+    lobe, count = AMPLITUDE.lobe, power.shape[1]
+    padded = np.pad(power, ((0, 0), (lobe, lobe)))
+    return np.max([padded[:, i : i + count] for i in range(2 * lobe + 1)], axis=0)
+
+
 def _is_flank(mean: Array, line: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether groups are less than a line beside them, both shape (n, G): what it leaks."""
     most = mean.max(axis=0)
-    strongest = maximum_filter1d(most * line, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
+    strongest = _strongest_near(most * line)
     return np.asarray(strongest > most)
 
 
@@ -455,7 +461,7 @@ def _is_beside_line(windows: Windows, mean: Array, reacts: NDArray[np.bool_]) ->
     """
     edges = np.array(windows.edges)
     quiet = np.repeat(np.where(reacts, 0.0, mean.min(axis=0)), np.diff(edges), axis=1)  # of a bin
-    strongest = maximum_filter1d(quiet, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
+    strongest = _strongest_near(quiet)
     strongest = np.maximum.reduceat(strongest, edges[:-1] - 1, axis=1)
     return np.asarray(reacts & (strongest > AMPLITUDE.line * mean.max(axis=0)))
 
@@ -471,7 +477,7 @@ def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[n
     edges = np.array(windows.edges)
     first, last, level = edges[:-1], edges[1:] - 1, np.log(mean)
     strongest = (mean * reacts).max(axis=0)
-    peak = strongest >= maximum_filter1d(strongest, 2 * AMPLITUDE.lobe + 1, axis=1, mode="constant")
+    peak = strongest >= _strongest_near(strongest)
     result = np.zeros(reacts.shape)
     for c, g in zip(*np.nonzero(reacts & peak), strict=True):
         least = int(level[:, c, g].argmin())

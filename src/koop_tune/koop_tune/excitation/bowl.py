@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from koop_core.config.parameter import Settings, judged
 from koop_tune.rig.rig_file import RigFile
@@ -63,6 +62,8 @@ class Bowl:
 
 def fit_bowl(u: Array, y: Array, error: Array) -> Bowl:
     """Fit a bowl to log amplitudes y, shape (M,), at positions u, shape (M, n); u* is inside."""
+    from scipy.optimize import least_squares  # slow to import
+
     s, n = BOWL, u.shape[1]
     upper, rng = np.triu_indices(n), np.random.default_rng(u.shape[0])
     centre, size = u[np.argmin(y)], np.exp(y.max())

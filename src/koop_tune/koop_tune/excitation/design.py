@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, ttest_ind
 
 from koop_core.config.parameter import Settings, judged, parameter
 from koop_core.errors import InputError
@@ -392,6 +391,8 @@ class Design:
 
         An interference does so everywhere; what theta makes of the rig does so more than beside.
         """
+        from scipy.stats import norm, ttest_ind  # slow to import
+
         length = self.windows.length
         parts = [
             hold.x[min(level.skip, level.count - 2) * length :]

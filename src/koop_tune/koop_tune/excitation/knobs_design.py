@@ -28,7 +28,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from koop_core.config.parameter import Settings, judged
 from koop_tune.excitation.amplitude import Amplitude, Windows
@@ -499,6 +498,8 @@ class KnobsDesign:
 
 def least_within(rig: RigFile, bowl: Bowl, knobs: Sequence[int], base: Array) -> Array:
     """Return the place of a bowl's least over some knobs within lines, the others as at base."""
+    from scipy.optimize import minimize  # slow to import
+
     spans = np.ptp([rig.each("theta_min"), rig.each("theta_max")], axis=0)
     sizes = [float(np.abs(line.weights) @ spans) for line in rig.lines]
 

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import multivariate_normal, norm
 
 from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.origin import studied
@@ -152,6 +151,8 @@ class StaticMap:
 
     def _log_likelihood(self, kernel: Any) -> float:
         """Return the logarithm of the marginal likelihood of the holds."""
+        from scipy.stats import multivariate_normal  # slow to import
+
         covariance = kernel(self.u[:, None]) + np.diag(self._alpha)
         return float(multivariate_normal.logpdf(self.y - self.y.mean(), cov=covariance))
 
@@ -361,6 +362,8 @@ class StaticMap:
 
         ``floor`` is the least y that a hold can have.
         """
+        from scipy.stats import norm  # slow to import
+
         y, deviation = self.predict(u)
 
         def below(bound: float) -> Array:

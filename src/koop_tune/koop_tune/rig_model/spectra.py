@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import spectrogram, welch
-from scipy.stats import f_oneway
 
 from koop_identify.recording.loaded import Loaded
 from koop_tune.rig.scale import Scale
@@ -58,6 +56,9 @@ def spectra_by_theta(
     koop_core.errors.InputError
         If theta was held at too few values.
     """
+    from scipy.signal import spectrogram, welch  # slow to import
+    from scipy.stats import f_oneway
+
     u, rests = find_rests(loaded, scale, length)
     u, rests = leave_out_short(u, rests, DWELLS.part_of_spectra)
     usual = min(rest.end - rest.begin for rest in rests)

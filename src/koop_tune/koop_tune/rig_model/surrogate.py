@@ -23,8 +23,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from koop_core.borrowed import borrowed
 from koop_core.kernels import njit
@@ -143,6 +141,8 @@ def high_pass(
     y_out: NDArray[np.float64], loaded: Loaded, omega_h: float, dt: float
 ) -> NDArray[np.float64]:
     """Return y_hp of the detector for every sample of a recording."""
+    from scipy.signal import lfilter  # slow to import
+
     alpha = math.exp(-omega_h * dt)
     filtered = np.zeros(y_out.size)
     for segment in list_segments(loaded.begins):
@@ -162,6 +162,8 @@ def fit_times(
     Where noise drives the oscillation its amplitude is seldom where theta leads it: how it comes
     and goes by itself tells the time constant far better than how it follows theta does.
     """
+    from scipy.optimize import minimize  # slow to import
+
     assert loaded.theta is not None
     every = max(1, dwells.length // 4)
     curve = static_map.curve

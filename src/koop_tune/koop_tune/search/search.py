@@ -22,7 +22,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from koop_tune.search.run import Constants, Outcome, Task, try_out
 
@@ -31,6 +30,8 @@ SEARCHED = ("omega_l", "speed", "dwell", "tau_f", "step_ratio")  # besides law a
 
 def draw(task: Task, count: int, seed: int) -> list[Constants]:
     """Return constants from all over the ranges."""
+    from scipy.stats import qmc  # slow to import
+
     high = sorted(task.surrogates)
     points = qmc.Sobol(len(SEARCHED) + 2, seed=seed).random(count)
     drawn = []
