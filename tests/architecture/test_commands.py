@@ -1,5 +1,6 @@
 """Commands come from the packages that are installed, and every one of them is listed."""
 
+import os
 import re
 import subprocess
 import sys
@@ -21,8 +22,10 @@ def package(tmp_path, monkeypatch):
     (tmp_path / "another-1.0.dist-info/entry_points.txt").write_text(
         "[koop.commands]\nhello = another_package:hello\nbag = another_package:to_bag\n"
         "mistake = another_package:mistake\nfault = another_package:fault\n"
+        "tidy = another_package:tidy\n"
     )
     (tmp_path / "another_package.py").write_text(
+        "import gc\n"
         "from koop_bag.cli import bag_commands\n"
         "import numpy\n"
         "from koop_core.errors import KoopError\n"
@@ -35,6 +38,9 @@ def package(tmp_path, monkeypatch):
         "    commands.add_parser('fault').set_defaults(func=product)\n"
         "def hello(commands):\n"
         "    commands.add_parser('hello').set_defaults(func=lambda args: 7)\n"
+        "def tidy(commands):\n"
+        "    enabled = lambda args: 9 * gc.isenabled()\n"
+        "    commands.add_parser('tidy').set_defaults(func=enabled)\n"
         "def to_bag(commands):\n"
         "    bag_commands(commands).add_parser('count').set_defaults(func=lambda args: 8)\n"
     )
@@ -62,6 +68,12 @@ def test_another_package_brings_a_command_and_adds_to_one(package):
     assert main(["hello"]) == 7
     assert main(["bag", "count"]) == 8
     assert main(["bag", "info", "nowhere"]) == 2
+
+
+def test_garbage_is_collected_while_a_command_runs(package, tmp_path):
+    path = os.pathsep.join([str(tmp_path), os.environ["PYTHONPATH"]])
+    words = [sys.executable, "-m", "koop_lab", "tidy"]
+    assert subprocess.run(words, env=os.environ | {"PYTHONPATH": path}).returncode == 9
 
 
 def test_what_a_user_can_mend_is_one_line_and_a_fault_of_ours_is_a_traceback(package, capsys):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import gc
 import io
 import os
 import re
@@ -94,6 +95,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"koop: error: no {kind} '{words[0]}': {hint}", file=sys.stderr)
         return 2
     commands_parser = parser(words[0])
+    if not gc.isenabled():  # see koop_lab.__main__
+        gc.freeze()
+        gc.enable()
     args, unknown = commands_parser.parse_known_args(words)
     command = " ".join(filter(None, ("koop", args.command, getattr(args, "action", ""))))
     if unknown:
