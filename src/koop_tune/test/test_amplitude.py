@@ -325,16 +325,6 @@ def test_noise_that_is_alike_in_two_windows_by_chance_does_not_react():
         assert np.all(np.abs(reacts - 2.0) < 0.5)
 
 
-def test_lines_that_beat_more_slowly_than_short_holds_last_do_not_react():
-    """Failed before: six windows after one another see the same of a beat of 34 windows."""
-    rng = np.random.default_rng(4)
-    for _ in range(5):
-        holds = [hold(rng, [(2.0, a), (6.08, 1.0), (6.0837, 1.0)]) for a in np.r_[U, U] + 0.2]
-        amplitude = choose_amplitude(WINDOWS, [*holds[:7], *(powers[-6:] for powers in holds[7:])])
-        assert weighs_at(amplitude, 0, 2.0)
-        assert not weighs_at(amplitude, 0, 6.08)
-
-
 def test_a_mode_that_is_faint_beside_a_strong_one_counts_where_that_is_quiet():
     rng = np.random.default_rng(0)
     strong, faint = (1.0, 0.01, 0.01, 0.01, 0.01, 1.0), (0.15, 0.1, 0.06, 0.04, 0.02, 0.01)
@@ -345,9 +335,8 @@ def test_a_mode_that_is_faint_beside_a_strong_one_counts_where_that_is_quiet():
     assert np.argmin(levels(amplitude, holds)) == 4
 
 
-@pytest.mark.parametrize("other", [(), (0.3,)])  # the position of a second knob
 @pytest.mark.parametrize("hysteresis", [False, True])
-def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hysteresis, other):
+def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hysteresis):
     rng = np.random.default_rng(0)
     places = [0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.5, 0.25, 1.0]
     goes = [1.0, 0.01, 1.0, 1.0, 0.01, 0.01, 1.0, 1.0, 1.0]
@@ -357,7 +346,7 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
         for a, b in zip(sizes, goes, strict=True)
     ]
     assert weighs_at(choose_amplitude(WINDOWS, holds), 0, 10.0 if hysteresis else 4.0)
-    amplitude = choose_amplitude(WINDOWS, holds, places=[([u, *other], 1) for u in places])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
     assert weighs_at(amplitude, 0, 10.0)
     assert not weighs_at(amplitude, 0, 4.0)
 
@@ -365,7 +354,7 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
 def test_where_theta_was_at_one_place_only_what_differs_there_counts_and_nothing_warns():
     rng, sizes = np.random.default_rng(0), [0.1, 1.0, 0.2, 2.0]
     holds = [hold(rng, [(4.0, size)]) for size in sizes]
-    amplitude = choose_amplitude(WINDOWS, holds, places=[([0.5], 1) for _ in sizes])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(0.5, 1) for _ in sizes])
     assert weighs_at(amplitude, 0, 4.0)
 
 
@@ -376,7 +365,7 @@ def test_a_mode_that_noise_makes_differ_at_one_place_is_thetas_if_it_follows_the
     chance = [1.0] * 8 + [0.5, 1.7, 0.4, 1.5]
     sizes = [(math.exp(-2.0 * u), 0.3 * math.exp(2.0 * u)) for u in places]
     holds = [hold(rng, [(4.0, a), (10.0, b * c)]) for (a, b), c in zip(sizes, chance, strict=True)]
-    amplitude = choose_amplitude(WINDOWS, holds, places=[([u], 1) for u in places])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
     assert weighs_at(amplitude, 0, 4.0)
     assert weighs_at(amplitude, 0, 10.0)
 
@@ -386,7 +375,7 @@ def test_an_oscillation_that_depends_on_the_way_there_is_not_given_up_for_its_fa
     for i, u in enumerate(np.r_[U, U[2:5]]):  # at three thetas once quiet and once on its branch
         a = 0.1 if i % 2 else 1.0
         holds.append(hold(rng, [(2.0, a), (7.0, 0.1 * (0.1 + u))], noise=0.001))
-        places.append(([u], 1))
+        places.append((float(u), 1))
     amplitude = choose_amplitude(WINDOWS, holds, (), places)
     assert weighs_at(amplitude, 0, 2.0)
 
@@ -400,7 +389,7 @@ def test_an_oscillation_that_comes_and_goes_is_not_given_up_for_its_own_flank():
         hold(rng, [(1.0, size), (1.25, 0.12 + 0.4 * abs(u - 0.5))], noise=0.001)
         for u, size in zip(places, goes, strict=True)
     ]
-    amplitude = choose_amplitude(WINDOWS, holds, places=[([u], 1) for u in places])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
     assert weighs_at(amplitude, 0, 1.0)
     assert weighs_at(amplitude, 0, 1.25)
 

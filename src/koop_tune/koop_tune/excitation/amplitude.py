@@ -340,7 +340,7 @@ def choose_amplitude(
     windows: Windows,
     holds: Sequence[Array],
     importance: Sequence[float] = (),
-    places: Sequence[tuple[Sequence[float] | Array, int]] = (),
+    places: Sequence[tuple[Array, int]] = (),
     hidden: Sequence[float] = (),
     beside: bool = False,
 ) -> Amplitude | None:
@@ -373,7 +373,7 @@ def choose_amplitude(
     spread = np.array([hold.std(axis=0) for hold in holds]) / mean
     spread = np.maximum(spread, np.quantile(spread, 0.5, axis=0, method="lower"))
     count = np.array([max(hold.shape[0] - 1, 1) for hold in holds])[:, None, None]
-    error = np.minimum(spread * np.sqrt(np.minimum(_count_alike(holds) / count, 1.0)), 2.0)
+    error = np.minimum(spread * np.sqrt(2.0 / count), 2.0)  # neighbouring windows are alike
     doubt = AMPLITUDE.errors / math.sqrt(2.0) * error  # of two holds alike: errors of the change
     most = (mean * (1.0 + error)).min(axis=0)  # of a background; a short hold tells little
     reacts = _change(mean, doubt) > AMPLITUDE.change
@@ -453,7 +453,9 @@ def _is_flank(mean: Array, line: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(strongest > most)
 
 
-def _is_beside_line(windows: Windows, mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _is_beside_line(
+    windows: Windows, mean: Array, reacts: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Return whether groups are beside a quiet line that is about as strong, shape (n, G).
 
     What two lines leak into the bins between them beats with the time, and a slow one with its own
@@ -492,26 +494,13 @@ def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[n
     return result
 
 
-def _count_alike(holds: Sequence[Array]) -> Array:
-    """Return how many neighbouring windows know no more than one, shape (n, G); at least 2.
-
-    It is what most of the longer holds show: a short one sees little of lines that beat slowly.
-    """
-    longer = np.quantile([hold.shape[0] for hold in holds], 0.5)
-    counts = [count_alike(hold.reshape(hold.shape[0], -1)) for hold in holds if len(hold) >= longer]
-    most = np.quantile(counts, 0.5, axis=0, method="lower").reshape(holds[0].shape[1:])
-    return np.maximum(most, 2.0)
-
-
 def _change(mean: Array, doubt: Array) -> Array:
     """Return by how much log powers of holds differ beyond doubt, both (H, n, G): shape (n, G)."""
     level = np.log(mean)
     return np.asarray((level - doubt).max(axis=0) - (level + doubt).min(axis=0))
 
 
-def _repeats(
-    mean: Array, error: Array, places: Sequence[tuple[Sequence[float] | Array, int]]
-) -> NDArray[np.bool_]:
+def _repeats(mean: Array, error: Array, places: Sequence[tuple[Array, int]]) -> NDArray[np.bool_]:
     """Return whether groups have about the same power where theta is the same, shape (n, G).
 
     An interference that comes and goes differs as much there as over the whole range, and as much
@@ -604,25 +593,6 @@ def _detrended(x: Array) -> Array:
     t = np.linspace(-1.0, 1.0, x.shape[2])
     centred = x - x.mean(axis=2, keepdims=True)
     return np.asarray(centred - (centred @ t / (t @ t))[:, :, None] * t)
-
-
-def count_alike(values: Array) -> Array:
-    """Return how many neighbouring windows of each column know no more than one.
-
-        s = 1 + 2 sum_k rho_k
-
-    The sum of the autocorrelation ends where two neighbours of it are no longer positive together
-    (Geyer, Statistical Science 7 (1992) 473-483), and s is at most a third of the windows.
-    """
-    m = values.shape[0]
-    centred = values - values.mean(axis=0)
-    size = 1 << (2 * m - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(centred, size, axis=0)) ** 2
-    rho = np.fft.irfft(spectrum, size, axis=0)[: m // 2 + 1]
-    power = np.maximum((centred**2).sum(axis=0), 1e-300)
-    pairs = rho[: rho.shape[0] // 2 * 2].reshape(-1, 2, values.shape[1]).sum(axis=1) / power
-    positive = np.cumprod(pairs > 0.0, axis=0)  # up to the first that is not
-    return np.asarray(np.clip(2.0 * (pairs * positive).sum(axis=0) - 1.0, 1.0, m / 3.0))
 
 
 def window_length(period: float, periods: float, dt: float) -> int:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, judged
-from koop_tune.excitation.amplitude import Amplitude, Windows, bridge_gaps, count_alike, find_step
+from koop_tune.excitation.amplitude import Amplitude, Windows, bridge_gaps, find_step
 from koop_tune.origin import studied
 
 Array = NDArray[np.float64]
@@ -254,3 +254,22 @@ def standard_error(values: Array) -> Array:
         return np.full(values.shape[1], math.inf)
     count = count_alike(values)
     return np.asarray(np.sqrt(values.var(axis=0) * count / (m - count)))
+
+
+def count_alike(values: Array) -> Array:
+    """Return how many neighbouring windows of each column know no more than one.
+
+        s = 1 + 2 sum_k rho_k
+
+    The sum of the autocorrelation ends where two neighbours of it are no longer positive together
+    (Geyer, Statistical Science 7 (1992) 473-483), and s is at most a third of the windows.
+    """
+    m = values.shape[0]
+    centred = values - values.mean(axis=0)
+    size = 1 << (2 * m - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(centred, size, axis=0)) ** 2
+    rho = np.fft.irfft(spectrum, size, axis=0)[: m // 2 + 1]
+    power = np.maximum((centred**2).sum(axis=0), 1e-300)
+    pairs = rho[: rho.shape[0] // 2 * 2].reshape(-1, 2, values.shape[1]).sum(axis=1) / power
+    positive = np.cumprod(pairs > 0.0, axis=0)  # up to the first that is not
+    return np.asarray(np.clip(2.0 * (pairs * positive).sum(axis=0) - 1.0, 1.0, m / 3.0))
