@@ -335,8 +335,9 @@ def test_a_mode_that_is_faint_beside_a_strong_one_counts_where_that_is_quiet():
     assert np.argmin(levels(amplitude, holds)) == 4
 
 
+@pytest.mark.parametrize("other", [(), (0.3,)])  # the position of a second knob
 @pytest.mark.parametrize("hysteresis", [False, True])
-def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hysteresis):
+def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hysteresis, other):
     rng = np.random.default_rng(0)
     places = [0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.5, 0.25, 1.0]
     goes = [1.0, 0.01, 1.0, 1.0, 0.01, 0.01, 1.0, 1.0, 1.0]
@@ -346,7 +347,7 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
         for a, b in zip(sizes, goes, strict=True)
     ]
     assert weighs_at(choose_amplitude(WINDOWS, holds), 0, 10.0 if hysteresis else 4.0)
-    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[([u, *other], 1) for u in places])
     assert weighs_at(amplitude, 0, 10.0)
     assert not weighs_at(amplitude, 0, 4.0)
 
@@ -354,7 +355,7 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
 def test_where_theta_was_at_one_place_only_what_differs_there_counts_and_nothing_warns():
     rng, sizes = np.random.default_rng(0), [0.1, 1.0, 0.2, 2.0]
     holds = [hold(rng, [(4.0, size)]) for size in sizes]
-    amplitude = choose_amplitude(WINDOWS, holds, places=[(0.5, 1) for _ in sizes])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[([0.5], 1) for _ in sizes])
     assert weighs_at(amplitude, 0, 4.0)
 
 
@@ -365,7 +366,7 @@ def test_a_mode_that_noise_makes_differ_at_one_place_is_thetas_if_it_follows_the
     chance = [1.0] * 8 + [0.5, 1.7, 0.4, 1.5]
     sizes = [(math.exp(-2.0 * u), 0.3 * math.exp(2.0 * u)) for u in places]
     holds = [hold(rng, [(4.0, a), (10.0, b * c)]) for (a, b), c in zip(sizes, chance, strict=True)]
-    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[([u], 1) for u in places])
     assert weighs_at(amplitude, 0, 4.0)
     assert weighs_at(amplitude, 0, 10.0)
 
@@ -375,7 +376,7 @@ def test_an_oscillation_that_depends_on_the_way_there_is_not_given_up_for_its_fa
     for i, u in enumerate(np.r_[U, U[2:5]]):  # at three thetas once quiet and once on its branch
         a = 0.1 if i % 2 else 1.0
         holds.append(hold(rng, [(2.0, a), (7.0, 0.1 * (0.1 + u))], noise=0.001))
-        places.append((float(u), 1))
+        places.append(([u], 1))
     amplitude = choose_amplitude(WINDOWS, holds, (), places)
     assert weighs_at(amplitude, 0, 2.0)
 
@@ -389,7 +390,7 @@ def test_an_oscillation_that_comes_and_goes_is_not_given_up_for_its_own_flank():
         hold(rng, [(1.0, size), (1.25, 0.12 + 0.4 * abs(u - 0.5))], noise=0.001)
         for u, size in zip(places, goes, strict=True)
     ]
-    amplitude = choose_amplitude(WINDOWS, holds, places=[(u, 1) for u in places])
+    amplitude = choose_amplitude(WINDOWS, holds, places=[([u], 1) for u in places])
     assert weighs_at(amplitude, 0, 1.0)
     assert weighs_at(amplitude, 0, 1.25)
 

@@ -213,7 +213,7 @@ def test_positions_beside_the_best_go_further_out_where_nothing_differs():
     others = []  # of several knobs, what reacts is known from elsewhere
     for u in (0.0, 0.4):
         rig.go(u)
-        others.append(Hold(u, 1, rig.stay(3000)))
+        others.append((Hold(u, 1, rig.stay(3000)), np.array([math.nan])))
     first = [0.37, 0.385, 0.415, 0.43]
     settings = replace(DESIGN, gap=0.2)
     design, moves = run(Design(RIG, (), None, settings, None, others, first), rig)

@@ -453,9 +453,7 @@ def _is_flank(mean: Array, line: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(strongest > most)
 
 
-def _is_beside_line(
-    windows: Windows, mean: Array, reacts: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _is_beside_line(windows: Windows, mean: Array, reacts: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether groups are beside a quiet line that is about as strong, shape (n, G).
 
     What two lines leak into the bins between them beats with the time, and a slow one with its own
