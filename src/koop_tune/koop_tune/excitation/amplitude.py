@@ -63,7 +63,7 @@ class AmplitudeSettings(Settings):
         0.05, "power over the channel's strongest group, where it is largest, left out", low=0.0
     )
     lobe: int = parameter(
-        2, "groups over which a line leaks", low=0, high=3, origin="half the main lobe of a window"
+        2, "groups or bins over which a line leaks", low=0, high=3, origin="half a window's lobe"
     )
     line: float = studied(
         0.5, "power of a quiet group over one within the lobe that is left out", low=0.0
@@ -440,7 +440,7 @@ def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np
 
 
 def _strongest_near(power: Array) -> Array:
-    """Return the most power within the lobe of each group, shape (n, G); beyond the ends is 0."""
+    """Return the most power within the lobe of each group or bin; beyond the ends it is 0."""
     lobe, count = AMPLITUDE.lobe, power.shape[1]
     padded = np.pad(power, ((0, 0), (lobe, lobe)))
     return np.max([padded[:, i : i + count] for i in range(2 * lobe + 1)], axis=0)
