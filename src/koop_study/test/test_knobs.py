@@ -28,7 +28,7 @@ def test_a_loop_of_several_knobs_is_predicted_as_the_rig_then_does_it() -> None:
     rig = draw_knobs(EASY, 3, 2, 3.0, False)
     own, dt = rig.rig, rig.rig.params.dt
     file = rig.file(0.5, 1e4)
-    recorded = excite(own, file, 4, rig)
+    recorded = excite(own, file, 1, rig)
     design = recorded.design
     tuned = tune_knobs(
         recorded.loaded, file, design.lines, design.arrays, training_of(own), design.amplitude,
@@ -48,10 +48,9 @@ def test_a_loop_of_several_knobs_is_predicted_as_the_rig_then_does_it() -> None:
         keep = np.exp(-dt / EASY.amplitude_time[0])  # as the amplitude follows
         path, _ = lfilter([1.0 - keep], [1.0, -keep], path, zi=[keep * begin])
         took = float(np.argmax(path <= np.log(1.5)) * dt)
-        assert took <= p.converges.high  # but in some seeds sooner than the least, by up to 7
+        assert p.converges.low <= took <= p.converges.high
         assert p.excess.low <= loop.ratio <= p.excess.high
-        reduction = np.exp(begin) / loop.ratio  # of the seeds 1 to 4 it is up to 1.2 times beyond
-        assert p.reduction.low / 1.25 <= reduction <= 1.25 * p.reduction.high
+        assert p.reduction.low <= np.exp(begin) / loop.ratio <= p.reduction.high
     assert p.converges.high < 3.0 * p.converges.low
     assert p.reduction.high < 6.0 * p.reduction.low  # its starts differ by a factor of 3
 

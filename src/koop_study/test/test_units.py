@@ -200,7 +200,7 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
         assert left[0] > 1
         assert actual == [runs(**unit.arguments) for unit in units]
         again = re.findall("recomputed elsewhere: .*", (tmp_path / "log").read_text())
-        assert sum(line.count("runs-") for line in again) <= left[0]  # what was there is not
+        assert sum(line.count("runs-") for line in again) <= left[0]  # at most what was not stored
         with pytest.raises(ValueError, match="has other code"):
             compute_all([replace(units[0], code="of another commit")], store, 1, address)
         thread.submit(kill, scheduler, further, left)

@@ -1,6 +1,7 @@
 """An excitation of several knobs, on simulated rigs of which the map is known."""
 
 import math
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -81,6 +82,13 @@ def test_the_optimum_of_coupled_knobs_is_found_though_it_lies_on_no_line_through
         near = np.abs(section.grid[::64] - section.best()) < 0.15
         off = section.curve[::64] - np.array([diagonal(u) for u in places])
         assert np.abs(off - np.median(off))[near].max() < 0.2
+
+
+def test_it_is_seen_whether_a_section_goes_through_the_best(coupled):
+    design = copy(coupled[1])
+    assert design._is_on_section()
+    design.base = design.base + 0.1
+    assert not design._is_on_section()
 
 
 def test_a_controller_of_coupled_knobs_has_room_around_the_best_of_each(coupled, monkeypatch):

@@ -621,15 +621,17 @@ class Design:
 
     def _choose(self) -> None:
         """Choose what is summed, and the windows for it, from all holds so far."""
-        elsewhere = [hold for hold, _ in self._others]
-        holds = [*([self._heard] if self._heard else []), *elsewhere, *self.holds]
+        place = self._place or (lambda u: np.array([u]))
+        at = dict(self._others) | {hold: place(hold.u) for hold in self.holds}
+        nowhere = np.full_like(place(0.0), math.nan)  # what was heard before theta moved
+        holds = [*([self._heard] if self._heard else []), *at]
         holds = [hold for hold in holds if hold.size >= 2 * self.windows.length]
         if len(holds) < 2:
             return
         s, before = self._settings, self.windows
         for last in (False, False, True):
             powers = [hold.late(self.windows) for hold in holds]
-            places = [self._find_place(hold) for hold in holds]
+            places = [(at.get(h, nowhere), 0 if self._place else h.side) for h in holds]
             hidden = find_hidden(*zip(*(hold.steps() for hold in holds), strict=True))
             known = self.windows, powers, self.rig.weights, places, hidden
             if last or (reacts := choose_amplitude(*known, beside=True)) is None:
@@ -661,15 +663,6 @@ class Design:
             there = {*self._queue, *(hold.u for hold in self.holds)}
             self._queue += [u for u in dict.fromkeys(short) if u not in there]
         self.amplitude = choose_amplitude(*known) if len(holds) > 1 else None
-
-    def _find_place(self, hold: Hold) -> tuple[Array, int]:
-        """Return the position of all knobs at a hold, and the side that it was come to from."""
-        if self._place is None:
-            return np.array([hold.u if hold in self.holds else math.nan]), hold.side
-        if hold in self.holds:
-            return self._place(hold.u), 0
-        known = [place for other, place in self._others if other is hold]
-        return known[0] if known else np.full_like(self._place(0.0), math.nan), 0
 
     @property
     def left(self) -> int:
