@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from koop_node.node.schedule import Schedule, current, running
+from koop_node.node.schedule import SLICE, Schedule, current, running
 
 
 class Clock:
@@ -55,6 +55,21 @@ def test_timers_that_are_due_come_in_the_order_of_their_times(clock, schedule):
         schedule.timer(period, lambda period=period: calls.append(period))
     advance(clock, schedule, 0.35)
     assert calls == [0.1, 0.2, 0.3]
+
+
+def test_after_a_slice_messages_have_their_turn_before_the_next_timer(clock, schedule):
+    calls = []
+
+    def work(number):
+        calls.append(number)
+        clock.now += 0.7 * SLICE
+
+    for number in range(3):
+        schedule.timer(0.5, lambda number=number: work(number))
+    advance(clock, schedule, 0.5)
+    assert (calls, schedule.wait(1.0)) == ([0, 1], 0.0)
+    schedule.run_due()
+    assert calls == [0, 1, 2]
 
 
 def test_the_wait_is_that_for_the_next_timer_and_no_longer_than_asked_for(clock, schedule):
