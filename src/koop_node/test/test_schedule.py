@@ -64,12 +64,12 @@ def test_after_a_slice_messages_have_their_turn_before_the_next_timer(clock, sch
         calls.append(number)
         clock.now += 0.7 * SLICE
 
-    for number in range(3):
-        schedule.timer(0.5, lambda number=number: work(number))
+    for number, due in enumerate((0.1, 0.2, 0.2, 0.2, 0.3)):
+        schedule.timer(1.0, lambda number=number: work(number)).restart(due=clock.now + due)
     advance(clock, schedule, 0.5)
-    assert (calls, schedule.wait(1.0)) == ([0, 1], 0.0)
+    assert (calls, schedule.wait(1.0)) == ([0, 1, 2, 3], 0.0)  # one time: they stay together
     schedule.run_due()
-    assert calls == [0, 1, 2]
+    assert calls == [0, 1, 2, 3, 4]
 
 
 def test_the_wait_is_that_for_the_next_timer_and_no_longer_than_asked_for(clock, schedule):

@@ -154,7 +154,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         self._diagnostics = self._while_there.publisher(
             DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
         )
-        self._while_there.timer(REPORT_PERIOD, self._report)
+        self.reporter = self._while_there.timer(REPORT_PERIOD, self._report)
         if self.parameters[NodeConfig].autostart:
             self._starter = self._while_there.timer(0.0, self._autostart)
 

@@ -77,10 +77,12 @@ class Schedule:
     def run_due(self) -> None:
         """Call what is due, each once: periods that are past are dropped, not made up for.
 
-        What is due after a slice waits until messages had their turn.
+        After a slice messages have their turn, but what is due at the same time stays together.
         """
-        now = time.monotonic()
-        while self._heap and self._heap[0][0] <= now and time.monotonic() < now + SLICE:
+        now, due = time.monotonic(), math.nan
+        while self._heap and self._heap[0][0] <= now:
+            if self._heap[0][0] != due and time.monotonic() >= now + SLICE:
+                break
             due, _, timer = heapq.heappop(self._heap)
             if due != timer.due:
                 continue

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import gc
 import os
+import time
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -22,7 +23,7 @@ from koop_core.kernels import Kernel
 from koop_core.port import FAILED, IDLE, MORE
 from koop_core.wakeup import NEVER, NOW, Loop, alone, get, make_run, make_turns, put
 from koop_node.node.executor import AT_ONCE, Executor
-from koop_node.node.managed import ManagedNode, Run
+from koop_node.node.managed import REPORT_PERIOD, ManagedNode, Run
 from koop_node.process.housekeeping import release_compiler
 
 MOST = 1000  # messages of a call: for so long, 10 ms, timers and others may wait
@@ -46,9 +47,12 @@ class Stages:
         self._lent: dict[int, tuple[list[Run], Loop]] = {}
         self._like: Loop | None = None
         self._looked = 0.0  # steady time [s] up to which there were messages
+        now = time.monotonic()
         for number, nodes in enumerate(loops):
             for node in nodes:
                 node.take_back = partial(self.take_back, number)
+                # the nodes of a loop report together, as it is taken back as a whole
+                node.reporter.restart(due=now + REPORT_PERIOD * (1 + number / len(loops)))
 
     @property
     def due(self) -> float:
