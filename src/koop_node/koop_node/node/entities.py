@@ -26,7 +26,7 @@ from koop_core.port import Port
 from koop_node.node import schedule
 from koop_node.node.graph import Listeners, message_type_of, publishers_of, type_name
 from koop_node.node.memory import Memory
-from koop_node.node.rclpy_internals import announce_parameters
+from koop_node.node.rclpy_internals import announce_parameters, parameters_are_heard
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
 
@@ -270,6 +270,8 @@ class Entities:
                 for p, nodes in needed.items()
             }
             text = "; ".join(f"{names} to listen to {t}" for t, names in missing.items() if names)
+            if not text and readers and not parameters_are_heard(self._node):
+                text = f"{next(iter(readers.values()))} to listen to parameters"  # not yet by DDS
             self.waiting_for = text and f"waiting for {text}"
             if not text:
                 timer.cancel()

@@ -54,6 +54,11 @@ def announce_parameters(node: Node) -> None:
     )
 
 
+def parameters_are_heard(node: Node) -> bool:
+    """Return whether anyone would hear :func:`announce_parameters`."""
+    return bool(node._parameter_event_publisher.get_subscription_count())
+
+
 def publishers_as_told(node: Node, topic: str) -> list[dict[str, Any]]:
     """Return what the middleware tells of the publishers of a topic, by its full name.
 
