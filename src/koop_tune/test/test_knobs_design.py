@@ -84,6 +84,22 @@ def test_the_optimum_of_coupled_knobs_is_found_though_it_lies_on_no_line_through
         assert np.abs(off - np.median(off))[near].max() < 0.2
 
 
+def ravine(u):
+    """Return log A of a ravine from (0.35, 0.05) to (1, 0.7), least at (0.6, 0.3); above it 20."""
+    a, b = u[0] - 0.6, u[1] - 0.3
+    q = ((a - b) / 0.08) ** 2
+    return math.log(20.0) * q / (1.0 + q) + (a + b) ** 2
+
+
+def test_the_best_of_a_ravine_that_no_section_runs_along_is_found():
+    places = np.linspace(0.0, 1.0, 101)
+    assert min(ravine((u, START[1])) for u in places) > math.log(5.0)
+    rig = SimulatedKnobs(ravine)
+    design, _ = run(KnobsDesign(KNOBS), rig)
+    assert design.ended == KNOWN
+    assert ravine(design.base) < math.log(1.15)  # failed before: 19.7
+
+
 def test_it_is_seen_whether_a_section_goes_through_the_best(coupled):
     design = copy(coupled[1])
     assert design._is_on_section()

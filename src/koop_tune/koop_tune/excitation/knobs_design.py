@@ -11,10 +11,11 @@ A rig with one knob has one section. With several:
    at a line between knobs it goes along that.
 4. Through the best, each knob's section is found out as that of a rig with one knob
    (:class:`koop_tune.excitation.design.Design`), and one without effect is gone over once more.
-   Steps 3 and 4 are repeated while the best moves or lies beside all sections, or where windows
-   became longer meanwhile.
+5. A valley that runs aslant looks like a pit along each knob: theta is held on both diagonals of
+   the rectangle that the valleys of two sections span, and goes on along the better one.
 
-The holds grow with n^2, not exponentially. A valley off all of these lines is not found.
+Steps 3 to 5 are repeated while the best moves or lies beside all sections, or where windows became
+longer meanwhile. The holds grow with n^2, not exponentially. A valley elsewhere is not found.
 """
 
 from __future__ import annotations
@@ -77,6 +78,7 @@ class KnobsSettings(Settings):
 
 
 KNOBS = KnobsSettings()
+ASLANT = "where a valley may run aslant"
 
 
 class KnobsMove(NamedTuple):
@@ -253,7 +255,7 @@ class KnobsDesign:
         for knob in (*knobs, *knobs):  # again where windows became longer meanwhile
             if self._is_short(lines[knob]):
                 left = n - 1 - len(self.lines)
-                self._to_come = max(left, 0) * over + n * (n - 1) + n * whole
+                self._to_come = max(left, 0) * over + n * (n - 1) * 5 // 2 + n * whole
                 yield from self._along(knob, whole=False)
                 lines[knob], self.lines[knob] = self._design.holds, self._through
                 self._move_base()
@@ -307,6 +309,9 @@ class KnobsDesign:
             if any(map(self._is_short, self.sections.values())):
                 continue
             moves = set(found) & self.sections.keys() or self._least_of_bowl() is not None
+            if not moves:
+                yield from self._go_aslant()
+                moves = self._least_of_bowl() is not None
             enough = cycle >= KNOBS.cycles or not moves
             if enough and (self._is_on_section() or self._arrivals == before):
                 break
@@ -426,14 +431,47 @@ class KnobsDesign:
             place[knob] += way if place[knob] < 0.5 else -way
         return self._keep(np.clip(place, 0.0, 1.0))
 
+    def _half_valley(self, knob: int, level: float) -> float:
+        """Return half the width of a knob's section where it is within a level of its best."""
+        rig, valley = self.rig, np.array(self.section(knob).valley(level))
+        part = rig.section(knob, rig.theta_at(self.lines[knob])).scale
+        return 0.5 * float(np.ptp(rig.scales[knob].u(part.theta(valley))))
+
     def _width(self, knob: int) -> float:
         """Return half the width of a knob's section where it is away times its best."""
         if self._is_short(self.sections[knob]):
             return KNOBS.most
-        rig, valley = self.rig, np.array(self.section(knob).valley(KNOBS.away))
-        part = rig.section(knob, rig.theta_at(self.lines[knob])).scale
-        width = float(np.ptp(rig.scales[knob].u(part.theta(valley))))
-        return min(max(0.5 * width, KNOBS.least), KNOBS.most)
+        return min(max(self._half_valley(knob, KNOBS.away), KNOBS.least), KNOBS.most)
+
+    def _go_aslant(self) -> Iterator[KnobsMove]:
+        """Hold on the diagonals of each two knobs' valleys, farther and farther while it is good.
+
+        A narrow valley runs along one of them, whatever way it goes: the ratio of the widths that
+        the sections see is that of its direction.
+        """
+        base, width = self.base, {k: self._half_valley(k, MAP.good) for k in self._useful}
+        for a, b in itertools.combinations(self._useful, 2):
+            up, down = np.zeros((2, base.size))
+            up[a] = down[a] = width[a]
+            up[b], down[b] = width[b], -width[b]
+            levels = []
+            for way in (up, down):
+                yield from self._hold_at(self._keep(np.clip(base + way, 0.0, 1.0)), ASLANT)
+                levels.append(self._level_at(base + way))
+            better = up if levels[0] < levels[1] else down
+            for way, level in ((2.0 * better, min(levels)), (-better, -math.inf)):
+                while level < self.arrays[1].min() + math.log(MAP.good):
+                    if (place := base + way).min() < 0.0 or place.max() > 1.0:
+                        break
+                    yield from self._hold_at(self._keep(place), ASLANT)
+                    level, way = self._level_at(place), 2.0 * way
+            if not np.array_equal(self.base, base):
+                return
+
+    def _level_at(self, place: Array) -> float:
+        """Return y of the hold nearest to a place."""
+        u, y, _ = self.arrays
+        return float(y[np.argmin(np.abs(u - place).max(axis=1))])
 
     def _half_width(self, knob: int) -> float:
         """Return how far from the base, along a knob, the bowl is away times that there."""
