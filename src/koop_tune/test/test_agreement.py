@@ -303,7 +303,7 @@ def test_a_figure_outside_the_band_that_errors_allow_is_named(aim, good):
     near = replace(good, error=0.1, excess=1.2, reduction=4.0)  # 1.05 exp(0.2) = 1.28
     assert find_disagreements(aim, near) == []
     said = verdict(aim, [good, near], 1, "there")
-    assert "damped about as predicted, the band missed by errors at most (ended at" in said
+    assert "damped as predicted, within the errors of measurement (ended at" in said
     assert "1.2 times the best amplitude, at most 1.05 were predicted): ./koop up there" in said
     seen = 60.0 + aim.settings.smoothed * aim.window  # a mean of so many windows ends then
     inside = replace(near, excess=1.0, time_to_converge=seen)

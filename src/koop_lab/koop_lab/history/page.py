@@ -62,9 +62,9 @@ def write_sentences(history: History) -> Iterator[str]:
         first, last = np.median(known[:tenth]), np.median(known[-tenth:])
         at = int(np.nanargmax(amplitude))
         yield (
-            f"Amplitude of {channel}: {first:.3g} at first, {last:.3g} at last (medians of a tenth "
-            f"of the time or more), at most {amplitude[at]:.3g} over {rows.weight[at]:g} s "
-            f"({_at(rows.time[at], MINUTE)})."
+            f"Amplitude of {channel} as measured, with any interference: {first:.3g} at first, "
+            f"{last:.3g} at last (medians of a tenth of the time or more), at most "
+            f"{amplitude[at]:.3g} over {rows.weight[at]:g} s ({_at(rows.time[at], MINUTE)})."
         )
     lost = _length([(trip.begin, trip.end) for trip in tripped])
     yield (

@@ -449,9 +449,8 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
         answer = f"The rig is {goal}, but not as predicted ({worse[0]}): ./koop up {where} runs it"
     else:
         outside = {text: None for run in runs for text in find_disagreements(aim, run, 0.0)}
-        band = f", the band missed by errors at most ({'; '.join(outside)})" if outside else ""
-        how = "about as predicted" if outside else "as predicted"
-        answer = f"The rig is {goal} {how}{band}: ./koop up {where} runs it"
+        band = f", within the errors of measurement ({'; '.join(outside)})" if outside else ""
+        answer = f"The rig is {goal} as predicted{band}: ./koop up {where} runs it"
     lines = [answer, f"The amplitude is that of {aim.name}"]
     if not faults and (trade := _describe_trade(aim, runs)):
         lines.append(trade)
