@@ -101,7 +101,7 @@ def _draw(
         panels.append(Panel("time [s]", what, series, log_y=scale.logarithmic))
     amplitude = (run.middle, run.amplitude) if run else None
     series = make_series(path.amplitude if path else None, "amplitude", best, amplitude)
-    panels.append(Panel("time [s]", "amplitude", series))
+    panels.append(Panel("time [s]", "amplitude", series, log_y=True))
     return Figure(name, caption, tuple(panels), columns=2)
 
 
