@@ -11,7 +11,7 @@ from surrogate_rigs import make_map
 
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.limits import limit_theta
+from koop_tune.search.limits import ThetaLimits, limit_corners, limit_theta
 from koop_tune.search.settings import TUNING, TuningSettings
 
 WIDE = RigFile(
@@ -138,3 +138,44 @@ def test_an_optimum_that_moves_has_room_ahead(side):
     behind, ahead = (0, 1) if side > 0 else (1, 0)
     assert moving[behind] == still[behind]
     assert moving[ahead] == pytest.approx(still[ahead] + 2.0 * side, abs=1e-3)
+
+
+TWO = replace(
+    WIDE, command="/b:z[0],z[1]", theta_min=(-1.0, 0.1), theta_max=(3.0, 10.0), theta_rate=0.5,
+    theta_start=(2.0, 5.0), theta_safe=(2.0, 5.0),
+)  # fmt: skip
+
+
+def limit_two(level):
+    """Return limits at u 0.3 and 0.7 of two knobs, and what holds of a map make of them."""
+    u = np.random.default_rng(0).uniform(0.2, 0.8, (60, 2))
+    y = level(u) + np.random.default_rng(1).normal(0.0, 0.05, 60)
+    ends = [TWO.theta_at((end, end)) for end in (0.3, 0.7)]
+    limits = [ThetaLimits(low, high, "a", "b") for low, high in zip(*ends, strict=True)]
+    holds = (u, y, np.full(60, 0.05))
+    return limits, limit_corners(TWO, limits, np.array([0.5, 0.5]), [0, 1], holds)
+
+
+def test_limits_of_two_knobs_come_nearer_where_their_corners_are_far_worse():
+    """A ravine: good along one diagonal, 20 times the best off it."""
+
+    def level(u):
+        return math.log(20.0) * np.minimum(np.abs(u[:, 0] - u[:, 1]) / 0.3, 1.0)
+
+    limits, nearer = limit_two(level)
+    new = TWO.u(np.transpose([limit[:2] for limit in nearer]))
+    ways = np.abs(new - 0.5)
+    assert ways == pytest.approx(ways[0, 0], abs=1e-3)  # all by the same share
+    corner = np.array([[new[0, 0], new[1, 1]]])
+    assert 0.05 < ways[0, 0] < 0.2
+    assert math.exp(level(corner)[0]) == pytest.approx(3.0, rel=0.5)
+    assert math.exp(level(np.array([[0.3, 0.7]]))[0]) > 15.0
+    for old, limit, name in zip(limits, nearer, TWO.knob_names, strict=True):
+        assert f"theta_min {limit.low:.10g} instead of" in limit.why_low, name
+        assert f"such as {old.high:.4g}" in limit.why_high
+        assert "times the best" in limit.why
+
+
+def test_limits_of_two_knobs_stay_where_their_corners_are_little_worse():
+    limits, same = limit_two(lambda u: 4.0 * ((u - 0.5) ** 2).sum(axis=1))
+    assert same == limits

@@ -107,6 +107,25 @@ def blas_threads() -> Any:
     return ThreadpoolController().select(user_api="blas")
 
 
+def variance_of(error: Array) -> Array:
+    """Return variances of holds, shape (N,), of their standard errors."""
+    return np.asarray(np.clip(error, MAP.least_error, 3.0) ** 2)
+
+
+def fit_process(kernel: Any, u: Array, y: Array, error: Array) -> Any:
+    """Return a Gaussian process conditioned on y, shape (N,), at positions, shape (N, n)."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+
+    process = GaussianProcessRegressor(
+        kernel, alpha=variance_of(error), n_restarts_optimizer=1, random_state=0
+    )
+    # threads only wait for each other over matrices as small as these: five times the time
+    with blas_threads().limit(limits=1), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # a bound is an answer here
+        return process.fit(u, y)
+
+
 @dataclass(frozen=True)
 class StaticMap:
     """Logarithm of a level at holds of theta.
@@ -153,19 +172,12 @@ class StaticMap:
         """Return the logarithm of the marginal likelihood of the holds."""
         from scipy.stats import multivariate_normal  # slow to import
 
-        covariance = kernel(self.u[:, None]) + np.diag(self._alpha)
+        covariance = kernel(self.u[:, None]) + np.diag(variance_of(self.error))
         return float(multivariate_normal.logpdf(self.y - self.y.mean(), cov=covariance))
-
-    @property
-    def _alpha(self) -> Array:
-        """Variances of the holds."""
-        return np.asarray(np.clip(self.error, MAP.least_error, 3.0) ** 2)
 
     @cached_property
     def _fit(self) -> tuple[Any, float]:
         """The conditioned process of y, less the mean of y."""
-        from sklearn.exceptions import ConvergenceWarning
-        from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
         s = MAP
@@ -175,14 +187,7 @@ class StaticMap:
             1e-4, (1e-6, s.scatter**2)
         )
         middle = float(self.y.mean())
-        process = GaussianProcessRegressor(
-            kernel, alpha=self._alpha, n_restarts_optimizer=1, random_state=0
-        )
-        # threads only wait for each other over matrices as small as these: five times the time
-        with blas_threads().limit(limits=1), warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # a bound is an answer here
-            process.fit(self.u[:, None], self.y - middle)
-        return process, middle
+        return fit_process(kernel, self.u[:, None], self.y - middle, self.error), middle
 
     @property
     def _white(self) -> float:

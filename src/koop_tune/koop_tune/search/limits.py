@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from koop_tune.excitation.safe_range import SafeRange
-from koop_tune.excitation.static_map import Cliff, StaticMap, times_best
+from koop_tune.excitation.static_map import MAP, Cliff, StaticMap, fit_process, times_best
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.search.settings import TUNING, TuningSettings
+
+SHARES = np.linspace(1.0, 0.25, 16).tolist()  # of the way from the best to a limit
 
 
 class ThetaLimits(NamedTuple):
@@ -91,6 +97,71 @@ def limit_theta(
             ends[end], why[end] = theta, f"{name} {theta:.10g} instead of {limit:g}: {reason}"
     open_to = tuple(widest) if widest != ends else ()
     return ThetaLimits(ends[0], ends[1], why[0], why[1], open_to)
+
+
+def limit_corners(
+    rig: RigFile,
+    limits: Sequence[ThetaLimits],
+    best: NDArray[np.float64],
+    knobs: Sequence[int],
+    holds: tuple[NDArray[np.float64], ...],
+    settings: TuningSettings = TUNING,
+) -> list[ThetaLimits]:
+    """Return limits of several knobs, nearer to the best where they are far worse together.
+
+    Along each knob they were found with the others at their best. In a valley that runs aslant
+    beside a cliff, the others at their limits, a loop would meet what no section has seen.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig, with n knobs.
+    limits : sequence of ThetaLimits
+        Limits of each along its section.
+    best : ndarray, shape (n,)
+        Position of the best.
+    knobs : sequence of int
+        Knobs that have an effect.
+    holds : tuple of ndarray
+        Positions, y and errors of all holds, as of :func:`koop_tune.excitation.bowl.fit_bowl`.
+    settings : TuningSettings
+        How much worse is far worse.
+    """
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+    u, y, error = holds
+    around, chosen = np.full(len(knobs), 0.3), list(knobs)
+    kernel = ConstantKernel(1.0, (0.01, 30.0)) * Matern(
+        around, (MAP.shortest, 3.0), nu=MAP.smoothness
+    ) + WhiteKernel(1e-4, (1e-6, MAP.scatter**2))
+    process = fit_process(kernel, u[:, chosen], y - y.mean(), error)
+    centre = best[chosen]
+    ends = rig.u(np.transpose([limit[:2] for limit in limits]))[:, chosen]
+    sides = np.array(list(itertools.product((0, 1), repeat=len(knobs))))
+    ways = np.take_along_axis(ends, sides, axis=0) - centre
+    least = float(process.predict(centre[None])[0])
+    worst = [
+        math.exp(float(process.predict(centre + share * ways).max()) - least) for share in SHARES
+    ]
+    share = next(
+        (s for s, w in zip(SHARES, worst, strict=True) if w <= settings.corner), SHARES[-1]
+    )
+    if share == SHARES[0]:
+        return list(limits)
+    bad, nearer = times_best(worst[0], rig.sense), list(limits)
+    for k, at, (low, high) in zip(chosen, centre, ends.T, strict=True):
+        scale, (old, whys) = rig.scales[k], (limits[k][:2], ["", ""])
+        new = [_round(scale.theta_at(at + share * (end - at)), scale) for end in (low, high)]
+        for end, name in enumerate(("theta_min", "theta_max")):
+            whys[end] = (
+                f"{name} {new[end]:.10g} instead of {rig.each(name)[k]:g}: with each knob at its "
+                f"limit, such as {old[end]:.4g}, the oscillation would be {bad}"
+            )
+        widest = tuple(
+            n if w == o else w for n, w, o in zip(new, limits[k].widest, old, strict=False)
+        )
+        nearer[k] = ThetaLimits(new[0], new[1], whys[0], whys[1], widest)
+    return nearer
 
 
 def _round(theta: float, scale: Scale) -> float:

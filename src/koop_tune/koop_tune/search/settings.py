@@ -75,6 +75,9 @@ class TuningSettings(Settings):
     near: float = studied(0.1, "distance of a cost's optimum from the amplitude's, in ranges")
     margin: float = jsbsim(0.06, "distance of theta from a cliff, in ranges", low=0.0)
     limits: float = studied(1.3, "amplitude over the best at the limits of theta", low=1.0)
+    corner: float = judged(
+        3.0, "amplitude over the best where several knobs are at their limits, at most", low=1.0
+    )
     least_room: float = studied(0.005, "way beyond the best, in ranges", low=0.0)
     ahead: float = studied(4.0, "runs in which an optimum that moves has room", low=0.0)
     surrogates: int = studied(6, "rigs that are drawn from a recording", low=1)

@@ -29,7 +29,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Dwells, find_dwells
 from koop_tune.rig_model.surrogate import high_pass
 from koop_tune.search.findings import STRONGER, CostMaps, NoOptimum
-from koop_tune.search.limits import ThetaLimits, limit_theta
+from koop_tune.search.limits import ThetaLimits, limit_corners, limit_theta
 from koop_tune.search.prediction import Prediction, describe_runs
 from koop_tune.search.run import make_esc, round_digits
 from koop_tune.search.run_knobs import make_knobs_task
@@ -143,6 +143,12 @@ def tune_knobs(
         for k in range(rig.count)
     ]
     limits[knob] = tuning.findings.limits
+    best = rig.u(rig.each("theta_start"))
+    for k, one in rigs.items():
+        best[k] = rig.scales[k].u(np.array(one.scale.theta_at(sections[k].best())))
+    effective = sorted(sections)
+    if not rig.lines:  # which cut corners off
+        limits = limit_corners(rig, limits, best, effective, holds, settings)
     ends = np.array([limit[:2] for limit in limits])
     for k, one in rigs.items():  # along a line between knobs theta may go on
         if limits[k].low == one.theta_min:
@@ -155,10 +161,6 @@ def tune_knobs(
         limits[k] = limit._replace(low=float(low), high=float(high))
     esc = _make_esc(tuning, rig, knob, ends, limits)
     u, y, error = holds
-    effective = sorted(sections)
-    best = rig.u(rig.each("theta_start"))
-    for k, one in rigs.items():
-        best[k] = rig.scales[k].u(np.array(one.scale.theta_at(sections[k].best())))
     bowl = fit_bowl(u[:, effective], y, error)
     several = make_knobs_task(
         tuning.task, rig, knob, rigs[knob].scale, best, bowl, effective, find_starts(rig, *holds)
