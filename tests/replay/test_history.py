@@ -236,7 +236,8 @@ def test_a_loop_of_which_a_channel_more_is_measured_since_is_one_loop(tmp_path, 
             message = MeasuredState(step=k, x=[np.sin(2.0 * np.pi * k / 100)])
             writer.write(channel, time, time, serialize_message(message))
     assert main(["report", str(tmp_path)]) == 0
-    assert "Amplitude of x[1] as measured, with any interference: 0 at first, " in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "Amplitude of x[1] as measured, with any interference: 0 at first, " in printed
     panels, _ = read_page(tmp_path / "history.html")
     assert [len(series["x"]) > 2 for series in panels["Amplitude"]["series"]] == [True] * 4
     assert panels["Amplitude"]["series"][1]["y"][0] == pytest.approx(1.0, rel=0.01)
