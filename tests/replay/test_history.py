@@ -212,7 +212,7 @@ def test_where_a_loop_begins_and_ends_is_not_taken_for_how_it_does(tmp_path, cap
             writer.write(channel, time, time, serialize_message(message))
     assert main(["report", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "x[0]: 0.7 at first, 0.7 at last" in said
+    assert "x[0] as measured, with any interference: 0.7 at first, 0.7 at last" in said
     assert "at most 5 over 10 s" in said
 
 
