@@ -456,14 +456,16 @@ class KnobsDesign:
             up[b], down[b] = width[b], -width[b]
             levels = []
             for way in (up, down):
-                yield from self._hold_at(self._keep(np.clip(base + way, 0.0, 1.0)), ASLANT)
-                levels.append(self._level_at(base + way))
+                place = self._keep(np.clip(base + way, 0.0, 1.0))
+                yield from self._hold_at(place, ASLANT)
+                levels.append(self._level_at(place))
             better = up if levels[0] < levels[1] else down
             for way, level in ((2.0 * better, min(levels)), (-better, -math.inf)):
                 while level < self.arrays[1].min() + math.log(MAP.good):
                     if (place := base + way).min() < 0.0 or place.max() > 1.0:
                         break
-                    yield from self._hold_at(self._keep(place), ASLANT)
+                    place = self._keep(place)
+                    yield from self._hold_at(place, ASLANT)
                     level, way = self._level_at(place), 2.0 * way
             if not np.array_equal(self.base, base):
                 return
