@@ -8,6 +8,7 @@ unequal worth. The paper's plant has |e|^2 in the place of its (theta - theta*)^
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,13 @@ from numpy.typing import NDArray
 
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
-from koop_loop.loop import controller, initial_state
 from koop_study.simulation.case import case_of
-from koop_study.simulation.run import model_of
-from koopman_lifter import cost
-from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
+from koop_study.simulation.run import run
 from relay_esc import directions
 from relay_esc.config import EscConfig
 from relay_esc.directions import DirectionState, Knobs, start
 from relay_esc.relay import RelayParams
-from vdp_plant import dynamics
-from vdp_plant.dynamics import PlantParams, distance
+from vdp_plant.dynamics import distance
 
 Array = NDArray[np.float64]
 DT = 1.0 / 20.0  # [periods of a random rig] between two samples
@@ -53,25 +50,6 @@ def seek_on_map(
         r = lag * r + (1.0 - lag) * a * a * math.exp(NOISE * noise)
         arrival = Arrival.RESTART if i == 0 else Arrival.NEXT
         state, _, _ = directions.answer(p, k, state, arrival, False, False, r, False)
-
-
-@njit()
-def seek_on_plant(
-    plant: PlantParams, source: int, lifting: Lifting, detector_params: DetectorParams,
-    p: RelayParams, k: Knobs, detector: DetectorState, work: Workspace, x: float, y: float,
-    m: Array, u_star: Array, state: DirectionState, way: Array,
-) -> None:  # fmt: skip
-    """Run a loop on the paper's plant with |e| in the place of theta - theta*."""
-    measured = np.empty(2)
-    for i in range(way.size):
-        arrival = Arrival.RESTART if i == 0 else Arrival.NEXT
-        measured[0], measured[1] = dynamics.measure(plant, i, x, y)
-        r, _, settling, detector = cost.answer(
-            source, lifting, detector_params, detector, arrival, i, measured, work
-        )
-        state, _, _ = directions.answer(p, k, state, arrival, False, settling, r, False)
-        way[i] = distance(m, state.output, u_star)
-        x, y = dynamics.step(plant, i, x, y, plant.theta_star + way[i])
 
 
 def rotation(n: int, rng: np.random.Generator) -> Array:
@@ -132,22 +110,26 @@ def knobs_of_plant(n: int, settings: dict[str, Any], seeds: list[int]) -> list[d
     rows = []
     for seed in seeds:
         case, rng = case_of(settings, seed), np.random.default_rng(seed)
-        parts = controller(case.lifter, case.esc, model_of(case))
         m, u = rotation(n, rng), np.zeros(n)
         far = rng.standard_normal(n)
         u_star = np.linalg.solve(m, 5.0 * far / np.linalg.norm(far))
-        lower, upper = np.minimum(u, u_star) - 3.0, np.maximum(u, u_star) + 3.0
-        knobs = Knobs(lower, upper, np.ones(n), np.full(n, math.inf), lower, upper)
-        limits = {"u_min": lower[0], "u_low": lower[0], "u_max": upper[0], "u_high": upper[0]}
-        relay = parts.relay._replace(**limits)  # of one knob
-        way = np.empty(case.steps)
-        seek_on_plant(
-            case.plant.params(), parts.source, parts.lifting, parts.detector, relay, knobs,
-            cost.initial(), cost.workspace(parts.lifting), *initial_state(case.plant), m, u_star,
-            start(u, signs(n, rng), u, u), way,
-        )  # fmt: skip
+        initial = each(u)
+        coupling = tuple(m.ravel()) if n > 1 else ()
+        plant = {"theta_initial": initial, "theta_star": each(u_star), "coupling": coupling}
+        esc = {
+            "theta_initial": initial,
+            "theta_min": each(np.minimum(u, u_star) - 3.0),
+            "theta_max": each(np.maximum(u, u_star) + 3.0),
+        }
+        done = run(replace(case, plant=replace(case.plant, **plant), esc=replace(case.esc, **esc)))
+        way = np.linalg.norm((done.theta.reshape(-1, n) - u_star) @ m.T, axis=1)
         rows.append({
             "iae": float(way.sum() * case.plant.dt),
             "distance": float(way[-round(TAIL * way.size):].mean()),
         })  # fmt: skip
     return rows
+
+
+def each(values: NDArray[Any]) -> Any:
+    """Return a parameter of each knob: one number of a single knob."""
+    return tuple(values) if values.size > 1 else float(values[0])
