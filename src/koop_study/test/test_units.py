@@ -209,12 +209,13 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
         assert any(map(store.has, further))
 
 
-def test_where_no_scheduler_is_that_is_said() -> None:
+def test_where_no_scheduler_is_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.1)
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with (
         pytest.raises(ConfigError, match=f"127.0.0.1:{port}: no Dask scheduler there"),
-        cluster.on_cluster(f"tcp://127.0.0.1:{port}", patience=0.1),
+        cluster.on_cluster(f"tcp://127.0.0.1:{port}"),
     ):
         pass
 

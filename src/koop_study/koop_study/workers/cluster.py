@@ -136,14 +136,14 @@ def on_this_machine(processes: int) -> Iterator[distributed.Client]:
 
 
 @contextmanager
-def on_cluster(address: str, patience: float = PATIENCE) -> Iterator[distributed.Client]:
-    """Connect to a scheduler; raise ConfigError if none answers within ``patience`` [s]."""
+def on_cluster(address: str) -> Iterator[distributed.Client]:
+    """Connect to a scheduler; raise ConfigError if none answers within PATIENCE."""
     from distributed import Client
 
     # of a scheduler that has gone it would write tracebacks
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
-        connected = Client(address, timeout=patience, set_as_default=False)
+        connected = Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConfigError(f"--scheduler {address}: no Dask scheduler there ({error})") from None
     with connected:
