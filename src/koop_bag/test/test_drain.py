@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from koop_bag.bag.losses import LossCounter
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
-from koop_bag.recorder.drain import AT_ONCE, HAS_STEP, MOST, ROOM, STEP, Drain, Rows
+from koop_bag.recorder.drain import AT_ONCE, HAS_STEP, MOST, ROOM, STEP, Drain, count_steps
 from koop_bag.recorder.topics import RecordedTopic, fetch, skip, subscribe, watch
 from koop_core.journal import PATH, Journal, Topic, append, journal_of_process, make_journal
 from koop_core.journal import ROOM as ROOM_OF_JOURNAL
@@ -74,14 +74,14 @@ def take_with_drain(drain, subscriptions, count):
     def look():
         before = time.time_ns()
         for number, some in enumerate(drain.take(subscriptions)):
-            assert (some.table[:, CHANNEL] == number).all()
-            batch = list(Batch(some.table, drain.data).rows())
+            assert (some[:, CHANNEL] == number).all()
+            batch = list(Batch(some, drain.data).rows())
             times = [row[0] for row in batch]
             assert times == sorted(times)
             assert all(sent <= received <= time.time_ns() for received, _, sent, _ in batch)
             assert all(received > before - 60e9 for received in times)
             taken[number] += [(sent, data) for _, _, sent, data in batch]
-            rows[number].append(some._replace(table=some.table.copy()))
+            rows[number].append(some.copy())
         return sum(map(len, taken)) == count
 
     wait_for(look)
@@ -135,7 +135,7 @@ def test_what_is_taken_is_what_rclpy_takes_damaged_or_of_any_size(node, messages
             assert taken[number] == expected
             counter = LossCounter()
             for some in rows[number]:
-                some.add_to(counter)
+                count_steps(some, counter)
             plain = count_plainly([data for _, data in taken[number]])
             assert asdict(counter) == asdict(plain)
     assert sum(map(len, sent)) > 500
@@ -150,9 +150,9 @@ def test_no_topic_keeps_the_others_waiting_and_the_rest_comes_next(node, message
         publishers[0].publish(data)
     publishers[1].publish(data)
     wait_for(lambda: all(p.wait_for_all_acked() for p in publishers))
-    assert [len(rows.table) for rows in drain.take(drained)] == [AT_ONCE, 1]
-    assert [len(rows.table) for rows in drain.take(drained)] == [500, 0]
-    assert [len(rows.table) for rows in drain.take(drained)] == [0, 0]
+    assert [len(rows) for rows in drain.take(drained)] == [AT_ONCE, 1]
+    assert [len(rows) for rows in drain.take(drained)] == [500, 0]
+    assert [len(rows) for rows in drain.take(drained)] == [0, 0]
     assert drain.take([]) == []
 
 
@@ -206,9 +206,7 @@ def rows_of(steps):
     valid = np.array([step is not None for step in steps], bool)
     known = np.array([step or 0 for step in steps], np.uint64)
     table[:, STEP], table[:, HAS_STEP] = known.view(np.int64), valid
-    values = known.tolist()
-    follow = bool(valid.all()) and values == list(range(values[0], values[0] + len(values)))
-    return Rows(table, follow and values[0] < 2**63)
+    return table
 
 
 def test_losses_are_counted_as_message_by_message():
@@ -225,7 +223,7 @@ def test_losses_are_counted_as_message_by_message():
             if rng.random() < 0.5:
                 steps = list(range(step, step + len(steps)))
                 steps = [min(each, 2**64 - 1) for each in steps]
-            rows_of(steps).add_to(counter)
+            count_steps(rows_of(steps), counter)
             for each in steps:
                 if each is not None:
                     plain.add(each)
@@ -283,9 +281,9 @@ def take_journal(drain, taken):
     """Add to what was taken of topics 0 and 1; return how much."""
     count = 0
     for some, messages in zip(drain.take([0, 1]), taken, strict=True):
-        rows = list(Batch(some.table, drain.data).rows())
+        rows = list(Batch(some, drain.data).rows())
         assert [row[0] for row in rows] == sorted(row[2] for row in rows)
-        assert [step_of(row[3]) for row in rows] == some.table[:, STEP].tolist()
+        assert [step_of(row[3]) for row in rows] == some[:, STEP].tolist()
         messages += [row[3] for row in rows]
         count += len(rows)
     return count
@@ -320,12 +318,11 @@ def test_a_journal_gives_all_that_found_room_whole_and_in_order(journal, message
 def test_rows_of_a_journal_count_losses_as_those_of_subscriptions_do(journal, messages):
     drain = Drain(journal)
     place = journal.place(Topic("/state", "pkg/msg/Any", "/node"))
-    for steps, follow in (([0, 1, 2], True), ([3, 5, 6], False), ([], False), ([7], True)):
+    for steps in ([0, 1, 2], [3, 5, 6], [], [7]):
         for step in steps:
             assert write(place, messages.loop("/state", step))
         (rows,) = drain.take([0])
-        assert rows.follow is follow
-        assert rows.table[:, STEP].tolist() == steps
+        assert rows[:, STEP].tolist() == steps
 
 
 def test_what_a_killed_writer_has_written_is_read(messages):
@@ -347,9 +344,7 @@ def test_what_a_killed_writer_has_written_is_read(messages):
     drain = Drain(journal)
     assert journal.topics() == [Topic("/state", "pkg/msg/Any", "/node")]
     (rows,) = drain.take([0])
-    assert [row[3] for row in Batch(rows.table, drain.data).rows()] == [
-        b"%04d" % n for n in range(1000)
-    ]
+    assert [row[3] for row in Batch(rows, drain.data).rows()] == [b"%04d" % n for n in range(1000)]
 
 
 def test_a_journal_without_a_reader_keeps_nobody_waiting_one_that_is_gone_is_none(
@@ -363,7 +358,7 @@ def test_a_journal_without_a_reader_keeps_nobody_waiting_one_that_is_gone_is_non
     assert journal.readers() == {"/state": "recorder"}
     assert not journal.read_within(0.0)
     drain = Drain(journal)
-    while len(drain.take([0])[0].table):
+    while len(drain.take([0])[0]):
         pass
     assert journal.read_within(0.0)
     monkeypatch.setenv(PATH, "/proc/self/fd/99999")

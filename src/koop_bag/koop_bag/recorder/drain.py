@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,28 +31,20 @@ ROOM = 1 << 18  # [B] at first
 MOST = 1 << 24  # [B] beyond which the buffer is given up again
 
 
-NONE: NDArray[np.int64] = np.empty((0, 7), np.int64)
-"""No rows."""
 NO_IDS: NDArray[np.int64] = np.empty((0, 2), np.int64)
 """No publishers."""
 
 
-class Rows(NamedTuple):
-    """What was taken from a source."""
+Rows = NDArray[np.int64]
+"""What was taken from a source, shape (n, 7): the rows of :class:`koop_bag.mcap.chunk.Batch`, with
+STEP and HAS_STEP; the channel is the number of the source."""
+NONE: Rows = np.empty((0, 7), np.int64)
+"""No rows."""
 
-    table: NDArray[np.int64]
-    """Shape (n, 7): the rows of :class:`koop_bag.mcap.chunk.Batch`, with STEP and HAS_STEP; the
-    channel is the number of the source."""
-    follow: bool
-    """Whether each has a step, the next after the last one."""
 
-    def add_to(self, losses: LossCounter) -> None:
-        """Count the messages, without those that are damaged."""
-        if self.follow and len(self.table):
-            losses.add_run(int(self.table[0, STEP]), len(self.table))
-        elif len(self.table):
-            steps = self.table[self.table[:, HAS_STEP] == 1, STEP]
-            losses.add_many(steps.view(np.uint64))
+def count_steps(rows: Rows, losses: LossCounter) -> None:
+    """Count the messages, without those that are damaged."""
+    losses.add_many(rows[rows[:, HAS_STEP] == 1, STEP].view(np.uint64))
 
 
 @njit()
@@ -85,8 +78,7 @@ class _Taken(NamedTuple):
     used: NDArray[np.int64]
     """Shape (2,): how much of both is used."""
     ends: NDArray[np.int64]
-    """Shape (S, 2): of each source: where its rows end, and whether each of their steps follows on
-    the last."""
+    """Shape (S,): where the rows of each source end."""
 
 
 @njit()
@@ -117,7 +109,7 @@ def _drain(
     take_message, copy = functions
     table, data, used, ends = taken
     for source in range(start, handles.size):
-        first = ends[source - 1, 0] if source else 0
+        first = ends[source - 1] if source else 0
         while used[0] < first + AT_ONCE and handles[source]:
             if message[1] == 0 and not take(take_message, handles[source], message, info):
                 break
@@ -133,18 +125,14 @@ def _drain(
             if received == 0:  # not every DDS gives the time of reception
                 received = now
             step, has_step = _find_step(data, begin, size)
-            if row == first:
-                ends[source, 1] = has_step and step >= 0
-            else:
-                # one that was lost and sent again is received after those that waited for it
+            if row > first:  # one that was lost and sent again comes after those that waited for it
                 received = max(received, table[row - 1, LOG_TIME])
-                ends[source, 1] &= has_step and step == table[row - 1, STEP] + 1 and step > 0
             table[row, LOG_TIME], table[row, CHANNEL] = received, source
             table[row, PUBLISH_TIME] = sent
             table[row, BEGIN], table[row, SIZE] = begin, size
             table[row, STEP], table[row, HAS_STEP] = step, has_step
             used[0], used[1] = row + 1, begin + size
-        ends[source, 0] = used[0]
+        ends[source] = used[0]
     return handles.size
 
 
@@ -186,7 +174,7 @@ class Drain:
             NONE,
             np.empty(ROOM, np.uint8),
             np.zeros(2, np.int64),
-            np.empty((0, 2), np.int64),
+            np.empty(0, np.int64),
         )
         memory = self._memory
         self._drain = direct(
@@ -218,7 +206,7 @@ class Drain:
         taken, memory, now = self._taken, self._memory, time.time_ns()
         if len(taken.ends) < len(handles):
             table = np.empty((AT_ONCE * len(handles), 7), np.int64)
-            taken = taken._replace(table=table, ends=np.zeros((len(handles), 2), np.int64))
+            taken = taken._replace(table=table, ends=np.zeros(len(handles), np.int64))
         if taken.data.size > MOST:
             taken = taken._replace(data=np.empty(ROOM, np.uint8))
         taken.used[:] = memory.message[1] = source = 0
@@ -229,11 +217,7 @@ class Drain:
             if source < len(handles):
                 taken = _grow(taken, 2 * int(memory.message[1]))
         ends = taken.ends[: len(handles)].tolist()
-        begins = [0, *(end for end, _ in ends)]
-        rows = [
-            Rows(taken.table[begin:end], bool(follow))
-            for begin, (end, follow) in zip(begins, ends, strict=False)
-        ]
+        rows = [taken.table[begin:end] for begin, end in pairwise([0, *ends])]
         if self._journal is not None:
             words, begin = self._journal.words, int(taken.used[0])
             until = int(words[WRITTEN])
@@ -241,7 +225,7 @@ class Drain:
             self._read(words, until, numbers, self._functions[1], taken)
             read = taken.table[begin : taken.used[0]]
             for source in numbers[numbers >= 0]:
-                rows[source] = _rows_of(read[read[:, CHANNEL] == source])
+                rows[source] = read[read[:, CHANNEL] == source]
         self._taken = taken
         return rows
 
@@ -254,10 +238,3 @@ def _grow(taken: _Taken, size: int) -> _Taken:
     data = np.empty(2 * used + size, np.uint8)
     data[:used] = taken.data[:used]
     return taken._replace(data=data)
-
-
-def _rows_of(table: NDArray[np.int64]) -> Rows:
-    """Return messages of one source, and whether their steps follow on each other."""
-    ahead = np.diff(table[:, STEP])
-    follow = len(table) > 0 and table[:, HAS_STEP].all() and (ahead == 1).all()
-    return Rows(table, bool(follow and table[0, STEP] >= 0))

@@ -23,7 +23,7 @@ from koop_bag.bag.metadata import POLICIES, SPANS, OfferedQos
 from koop_bag.cdr.definition import has_step
 from koop_bag.cdr.schema import MessageSchema, load_schema
 from koop_bag.mcap.chunk import CHANNEL, LOG_TIME, Batch
-from koop_bag.recorder.drain import NO_IDS, NONE, Drain, Rows
+from koop_bag.recorder.drain import NO_IDS, NONE, Drain, Rows, count_steps
 from koop_node.node.graph import UNKNOWN
 from koop_node.node.managed import message_type
 from koop_node.node.rclpy_internals import polled, publishers_as_told
@@ -78,18 +78,18 @@ class RecordedTopic:
 
         A transition of a node that publishes the topic interrupts.
         """
-        if len(rows.table):
+        if len(rows):
             self._heard = time.monotonic()
-            self.count += len(rows.table)
+            self.count += len(rows)
         if self.losses is None:
             return
         for at, name in transitions:
             if name in self.publishers:
-                end = int(np.searchsorted(rows.table[:, LOG_TIME], at, "right"))
-                rows._replace(table=rows.table[:end]).add_to(self.losses)
-                rows = rows._replace(table=rows.table[end:])
+                end = int(np.searchsorted(rows[:, LOG_TIME], at, "right"))
+                count_steps(rows[:end], self.losses)
+                rows = rows[end:]
                 self.losses.interrupt()
-        rows.add_to(self.losses)
+        count_steps(rows, self.losses)
 
     def silence(self) -> str:
         """Return what to say of a stream that has a publisher and is not heard any more, or ''."""
@@ -102,7 +102,7 @@ class RecordedTopic:
 
     def skip_rows(self, rows: Rows) -> None:
         """Take note that messages were taken and forgotten; their steps are not lost."""
-        if len(rows.table):
+        if len(rows):
             self._heard = time.monotonic()
             if self.losses is not None:
                 self.losses.interrupt()
@@ -205,11 +205,11 @@ def fetch(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any
     transitions = sorted(
         (at, name)
         for name, rows in zip(nodes, taken[len(topics) :], strict=True)
-        for at in rows.table[:, LOG_TIME].tolist()
+        for at in rows[:, LOG_TIME].tolist()
     )
     for topic, rows in zip(topics, taken, strict=False):
         topic.count_rows(rows, transitions)
-    table = np.concatenate([NONE, *(rows.table for rows in taken[: len(topics)])])
+    table = np.concatenate([NONE, *taken[: len(topics)]])
     table = table[np.argsort(table[:, LOG_TIME], kind="stable")]
     for number in dict.fromkeys(table[:, CHANNEL].tolist()):
         topics[number].announce()
@@ -238,11 +238,11 @@ def take(drain: Drain, topics: Sequence[RecordedTopic], nodes: Mapping[str, Any]
 def _together(channel: int, parts: Sequence[Rows]) -> Rows:
     """Return the messages of a topic from all of its sources, in order."""
     for part in parts:
-        part.table[:, CHANNEL] = channel
+        part[:, CHANNEL] = channel
     if len(parts) == 1:
         return parts[0]
-    table = np.concatenate([NONE, *(part.table for part in parts)])
-    return Rows(table[np.argsort(table[:, LOG_TIME], kind="stable")], False)
+    rows: Rows = np.concatenate([NONE, *parts])
+    return rows[np.argsort(rows[:, LOG_TIME], kind="stable")]
 
 
 def offered_qos(profile: QoSProfile) -> OfferedQos:
