@@ -1,29 +1,18 @@
-"""Actions on the loop of a scenario: how each is checked, begun and ended."""
+"""Actions on the loop of a scenario: how each is checked, done and undone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from koop_core.config.parameter import ConfigError, mapping
 from koop_hil import faults
 from koop_identify.recording.recorded_parameters import CONTROLLER
 
 NODES = ("plant", *CONTROLLER)
-
-
-class Action(NamedTuple):
-    """One kind of event."""
-
-    check: Callable[[Any, Path], Any]
-    """Returns what the event is about as it is used, given it and the scenario's folder."""
-    begin: Callable[[Any, Any], None]
-    end: Callable[[Any, Any], None] = lambda loop, what: None
-    """Do it, and undo it when the event is over, given the scenario's
-    :class:`koop_hil.processes.Processes` and what it is about."""
-    publishers: bool = False
-    """Whether topics then have more publishers for a while than usual."""
+ACTIONS = ("inject", "kill", "pause", "set", "cut")
+PUBLISHING = ("kill", "cut")
+"""Actions after which topics have more publishers for a while than usual."""
 
 
 def number(value: Any, name: str) -> float:
@@ -33,63 +22,40 @@ def number(value: Any, name: str) -> float:
     return float(value)
 
 
-def _one_of(action: str, *names: str) -> Callable[[Any, Path], Any]:
-    def check(what: Any, folder: Path) -> Any:
-        if what not in names:
-            one = "one of " if len(names) > 1 else ""
-            raise ConfigError(f"{action}: {one}{', '.join(names)}, not {what!r}")
-        return what
-
-    return check
-
-
-def _check_faults(what: Any, folder: Path) -> Any:
-    for topic, text in mapping(what, "inject").items():
-        if topic not in ("state", "theta"):
-            raise ConfigError(f"inject: into state or theta, not '{topic}'")
-        if not isinstance(text, str):
-            raise ConfigError(f"inject: {topic}: {text!r} is not text: quote 'off' in YAML")
-        faults.parse(text)
+def check(action: str, what: Any, folder: Path) -> Any:
+    """Return what an event is about as it is used; raise ConfigError if it means nothing."""
+    match action:
+        case "inject":
+            for topic, text in mapping(what, "inject").items():
+                if topic not in ("state", "theta"):
+                    raise ConfigError(f"inject: into state or theta, not '{topic}'")
+                if not isinstance(text, str):
+                    raise ConfigError(f"inject: {topic}: {text!r} is not text: quote 'off' in YAML")
+                faults.parse(text)
+        case "set":
+            what = {node: mapping(values, "set") for node, values in mapping(what, "set").items()}
+            for values in what.values():
+                if "model" in values:
+                    values["model"] = str((folder / str(values["model"])).resolve())
+        case "cut" if what != "link":
+            raise ConfigError(f"cut: link, not {what!r}")
+        case "kill" | "pause" if what not in NODES:
+            raise ConfigError(f"{action}: one of {', '.join(NODES)}, not {what!r}")
     return what
 
 
-def _check_parameters(what: Any, folder: Path) -> Any:
-    nodes = {node: mapping(values, "set") for node, values in mapping(what, "set").items()}
-    for values in nodes.values():
-        if "model" in values:
-            values["model"] = str((folder / str(values["model"])).resolve())
-    return nodes
-
-
-def _inject(loop: Any, what: dict[str, str]) -> None:
-    _set(loop, {"fault_injector": {f"{topic}_fault": fault for topic, fault in what.items()}})
-
-
-def _set(loop: Any, what: dict[str, dict[str, Any]]) -> None:
-    for node, values in what.items():
-        loop.monitor.set_parameters(node, values)
-
-
-ACTIONS: dict[str, Action] = {
-    "inject": Action(
-        _check_faults, _inject, lambda loop, what: _inject(loop, dict.fromkeys(what, "ok"))
-    ),
-    "kill": Action(
-        _one_of("kill", *NODES),
-        lambda loop, what: loop.kill(what),
-        lambda loop, what: loop.start(what),
-        publishers=True,
-    ),
-    "pause": Action(
-        _one_of("pause", *NODES),
-        lambda loop, what: loop.pause(what, True),
-        lambda loop, what: loop.pause(what, False),
-    ),
-    "set": Action(_check_parameters, _set),
-    "cut": Action(
-        _one_of("cut", "link"),
-        lambda loop, what: loop.link(up=False),
-        lambda loop, what: loop.link(up=True),
-        publishers=True,
-    ),
-}
+def act(loop: Any, action: str, what: Any, over: bool) -> None:
+    """Do it to a :class:`koop_hil.processes.Processes`, or undo it when the event is over."""
+    match action:
+        case "inject":
+            values = {f"{topic}_fault": "ok" if over else fault for topic, fault in what.items()}
+            loop.monitor.set_parameters("fault_injector", values)
+        case "kill":
+            (loop.start if over else loop.kill)(what)
+        case "pause":
+            loop.pause(what, not over)
+        case "set" if not over:
+            for node, values in what.items():
+                loop.monitor.set_parameters(node, values)
+        case "cut":
+            loop.link(up=over)

@@ -15,7 +15,7 @@ from koop_core.config.knobs import KnobSettings
 from koop_core.config.parameter import ConfigError, Settings, mapping, parameter, refuse_unknown
 from koop_core.config.yaml_file import read_yaml
 from koop_hil import installed
-from koop_hil.actions import ACTIONS, NODES, number
+from koop_hil.actions import ACTIONS, NODES, check, number
 from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_loop import parameters
 from vdp_plant.config import PlantConfig
@@ -32,7 +32,7 @@ class ScenarioEvent:
     lasts: float
     """Begin and length [s] of simulated time."""
     action: str
-    """A key of :data:`koop_hil.actions.ACTIONS`."""
+    """One of :data:`koop_hil.actions.ACTIONS`."""
     what: Any
     """``{topic: fault}``, a node, ``{node: {parameter: value}}`` or ``link``."""
 
@@ -206,5 +206,4 @@ def _event(item: Any, folder: Path) -> ScenarioEvent:
     if len(actions) != 1:
         raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {entry}")
     at, lasts = (number(entry.get(key, 0.0), key) for key in ("at", "for"))
-    what = ACTIONS[actions[0]].check(entry[actions[0]], folder)
-    return ScenarioEvent(at, lasts, actions[0], what)
+    return ScenarioEvent(at, lasts, actions[0], check(actions[0], entry[actions[0]], folder))

@@ -16,7 +16,7 @@ from koop_bringup.live.process import START_TIMEOUT
 from koop_core.config.knobs import format_knobs
 from koop_core.errors import LiveError
 from koop_core.stream.report import LEVELS
-from koop_hil.actions import ACTIONS
+from koop_hil.actions import PUBLISHING, act
 from koop_hil.hosts import other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
@@ -78,18 +78,14 @@ def _play(
     first = min((event.at for event in scenario.events), default=0.0)
     looked = 0.0
     # a publisher that was killed counts for a while
-    changing = any(ACTIONS[event.action].publishers for event in scenario.events)
+    changing = any(event.action in PUBLISHING for event in scenario.events)
     while (t := (time.monotonic() - started) * setting.time_scale) < setting.duration:
         monitor.spin(TICK)
         while todo and todo[0][0] <= t:
             _, _, event, over = heapq.heappop(todo)
-            action = ACTIONS[event.action]
-            if over:
-                action.end(processes, event.what)
-                continue
             record.first = record.first or time.time_ns()
-            action.begin(processes, event.what)
-            if event.lasts > 0.0 or event.action == "kill":
+            act(processes, event.action, event.what, over)
+            if not over and (event.lasts > 0.0 or event.action == "kill"):
                 heapq.heappush(todo, (t + event.lasts, next(order), event, True))
         if t >= first:
             for node, level in monitor.progress.levels.items():
