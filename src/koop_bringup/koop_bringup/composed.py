@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from koop_core.borrowed import borrowed
+from koop_core.borrowed import load, store
 from koop_core.kernels import njit
 from koop_core.port import MORE
-from koop_core.wakeup import Loop, Reasons
+from koop_core.wakeup import Loop, Memory, Reasons
 from koop_node.node.managed import ManagedNode
 from koop_node.node.stages import Stages
 from koopman_lifter import stage as lifter_stage
@@ -20,10 +20,11 @@ from vdp_plant.node import PlantNode
 
 
 @njit()
-def go_on(most: int, loop: Loop, reasons: Reasons) -> tuple[Loop, float]:
+def go_on(most: int, memory: Memory, kind: Any, reasons: Reasons) -> float:
     """Go on with a loop; see :func:`koop_core.wakeup.make_run`."""
     one = two = three = MORE
-    lifter, controller, plant = borrowed(loop.stages)
+    loop = load(memory, 0, kind)
+    lifter, controller, plant = loop.stages
     lifted, controlled, advanced = loop.progress
     for _ in range(most):
         one, lifted = lifter_stage.answer_next(lifter, lifted)
@@ -32,7 +33,8 @@ def go_on(most: int, loop: Loop, reasons: Reasons) -> tuple[Loop, float]:
         if max(one, two, three) != MORE:
             break
     reasons[0], reasons[1], reasons[2] = one, two, three
-    return Loop(loop.stages, (lifted, controlled, advanced)), plant_stage.due(advanced)
+    store(memory, 0, Loop(loop.stages, (lifted, controlled, advanced)))
+    return plant_stage.due(advanced)
 
 
 def find(nodes: Sequence[ManagedNode[Any]]) -> list[Stages]:

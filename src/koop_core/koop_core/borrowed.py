@@ -20,13 +20,20 @@ def overlay(data, at, count, dtype):  # type: ignore[no-untyped-def]
     return data[at : at + count * dtype(0).itemsize].view(dtype)
 
 
-def is_like(value, like):  # type: ignore[no-untyped-def]
-    """Return whether two values are of the same type, inside a kernel."""
+def kind_of(value):  # type: ignore[no-untyped-def]
+    """Return the type of a value as an argument for kernels."""
+    from numba import typeof, types
+
+    return types.TypeRef(typeof(value))
+
+
+def is_of(value, kind):  # type: ignore[no-untyped-def]
+    """Return whether a value is of a type, inside a kernel."""
     raise NotImplementedError("compiled kernels only")
 
 
-def load(memory, at, like):  # type: ignore[no-untyped-def]
-    """Return the value of a type that :func:`store` put at a place of an array of bytes."""
+def load(memory, at, kind):  # type: ignore[no-untyped-def]
+    """Return the value of a type that :func:`store` put at a place of an array, borrowed."""
     raise NotImplementedError("compiled kernels only")
 
 

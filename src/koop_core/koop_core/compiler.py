@@ -17,7 +17,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.runtime import rtsys
 from numba.extending import intrinsic, overload
 
-from koop_core.borrowed import borrowed, is_like, load, overlay, store
+from koop_core.borrowed import borrowed, is_of, load, overlay, store
 from koop_core.foreign import call
 from koop_core.named_tuple import replace
 
@@ -50,9 +50,13 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
 
     locks: ClassVar[dict[str, int]] = {}  # descriptors by module
 
+    def __init__(self, dispatcher: Any) -> None:
+        super().__init__(dispatcher.py_func)
+        self._options = tuple(dispatcher.targetoptions)
+
     def _index_key(self, signature: Any, codegen: Any) -> Any:
         """Tell kernels of one closure by the types of their arguments: what it holds has a uuid."""
-        return signature, codegen.magic_tuple(), self._py_func.__code__.co_code
+        return signature, codegen.magic_tuple(), self._py_func.__code__.co_code, self._options
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # memory for arrays: all that a kept kernel needs
@@ -69,10 +73,25 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
 def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """Return what numba makes of a function that it is to compile and keep.
 
-    Numba takes no other cache than its own: this is the one place that replaces it.
+    What takes Python's objects apart is most of the code of a kernel with large tuples: it is left
+    out of what other kernels call.
     """
+    dispatcher = _make_dispatcher(function, no_cfunc_wrapper=True, **options)
+    inner = _make_dispatcher(function, no_cfunc_wrapper=True, no_cpython_wrapper=True, **options)
+
+    def find_plain_template(arguments: Any, keywords: Any) -> Any:
+        plain = {name: _plain(kind) for name, kind in keywords.items()}
+        return inner.get_call_template(tuple(map(_plain, arguments)), plain)
+
+    dispatcher.get_call_template = find_plain_template
+    dispatcher.get_overload = inner.get_overload
+    return dispatcher
+
+
+def _make_dispatcher(function: Callable[..., Any], **options: Any) -> Any:
+    """Numba takes no other cache than its own: this is the one place that replaces it."""
     dispatcher = numba.njit(cache=True, **options)(function)
-    dispatcher._cache = _Cache(function)
+    dispatcher._cache = _Cache(dispatcher)
     compile_it = dispatcher.compile
 
     def compile_alone(signature: Any) -> Any:
@@ -84,14 +103,7 @@ def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> An
                 for module in _Cache.locks.keys() - before:
                     os.close(_Cache.locks.pop(module))
 
-    find_template = dispatcher.get_call_template
-
-    def find_plain_template(arguments: Any, keywords: Any) -> Any:
-        plain = {name: _plain(kind) for name, kind in keywords.items()}
-        return find_template(tuple(map(_plain, arguments)), plain)
-
     dispatcher.compile = compile_alone
-    dispatcher.get_call_template = find_plain_template
     return dispatcher
 
 
@@ -102,7 +114,8 @@ def _plain(kind: Any) -> Any:
     """
     if isinstance(kind, types.IntEnumMember):
         return kind.dtype
-    return types.unliteral(kind) if isinstance(kind, types.IntegerLiteral) else kind
+    constant = isinstance(kind, (types.IntegerLiteral, types.BooleanLiteral))
+    return types.unliteral(kind) if constant else kind
 
 
 @overload(replace, strict=False)  # its parameters are the fields
@@ -113,27 +126,29 @@ def _replaced(state, **changes):  # type: ignore[no-untyped-def]
     return space["made_of"]
 
 
-@intrinsic
-def _without_owner(typing: Any, array: Any) -> Any:
-    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        view = context.make_array(array)(context, builder, arguments[0])
+def _drop_owners(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Return a value without the owners of all arrays that it holds."""
+    if isinstance(kind, types.Array):
+        view = context.make_array(kind)(context, builder, value)
         view.meminfo = view.meminfo.type(None)
         return view._getvalue()
+    for i, each in enumerate(kind if isinstance(kind, types.BaseTuple) else ()):
+        inner = _drop_owners(context, builder, each, builder.extract_value(value, i))
+        value = builder.insert_value(value, inner, i)
+    return value
 
-    return array(array), made
+
+@intrinsic
+def _without_owners(typing: Any, lent: Any) -> Any:
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _drop_owners(context, builder, lent, arguments[0])
+
+    return lent(lent), made
 
 
 @overload(borrowed)
 def _borrowed(lent):  # type: ignore[no-untyped-def]
-    if isinstance(lent, types.Array):
-        return lambda lent: _without_owner(lent)
-    if not isinstance(lent, types.BaseTuple):
-        return lambda lent: lent
-    values = ", ".join(f"borrowed(lent[{i}])" for i in range(len(lent)))
-    space = {"made": getattr(lent, "instance_class", None), "borrowed": borrowed}
-    text = f"made({values})" if isinstance(lent, types.BaseNamedTuple) else f"({values},)"
-    exec(f"def made_of(lent): return {text}", space)
-    return space["made_of"]
+    return lambda lent: _without_owners(lent)
 
 
 @intrinsic
@@ -159,10 +174,10 @@ def _overlaid(data, at, count, dtype):  # type: ignore[no-untyped-def]
     return lambda data, at, count, dtype: _overlay(data, at, count, dtype)
 
 
-@overload(is_like)
-def _is_like(value, like):  # type: ignore[no-untyped-def]
-    same = value == like
-    return lambda value, like: same
+@overload(is_of)
+def _is_of(value, kind):  # type: ignore[no-untyped-def]
+    same = value == kind.instance_type
+    return lambda value, kind: same
 
 
 def _place(context: Any, builder: Any, memory: Any, kind: Any, arguments: Any) -> Any:
@@ -173,22 +188,26 @@ def _place(context: Any, builder: Any, memory: Any, kind: Any, arguments: Any) -
 
 
 @intrinsic
-def _load(typing: Any, memory: Any, at: Any, like: Any) -> Any:
-    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.load(_place(context, builder, memory, like, arguments))
+def _load(typing: Any, memory: Any, at: Any, kind: Any) -> Any:
+    like = kind.instance_type
 
-    return like(memory, types.intp, like), made
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = builder.load(_place(context, builder, memory, like, arguments))
+        return _drop_owners(context, builder, like, value)
+
+    return like(memory, types.intp, kind), made
 
 
 @overload(load)
-def _loaded(memory, at, like):  # type: ignore[no-untyped-def]
-    return lambda memory, at, like: _load(memory, at, like)
+def _loaded(memory, at, kind):  # type: ignore[no-untyped-def]
+    return lambda memory, at, kind: _load(memory, at, kind)
 
 
 @intrinsic
 def _store(typing: Any, memory: Any, at: Any, value: Any) -> Any:
     def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        builder.store(arguments[2], _place(context, builder, memory, value, arguments))
+        lent = _drop_owners(context, builder, value, arguments[2])
+        builder.store(lent, _place(context, builder, memory, value, arguments))
         return context.get_dummy_value()
 
     return types.void(memory, types.intp, value), made
@@ -208,7 +227,7 @@ def _stored(memory, at, value):  # type: ignore[no-untyped-def]
     def put(memory, at, value):  # type: ignore[no-untyped-def]
         if at + _size(value) > memory.size:
             raise ValueError("a value does not fit the memory that it is stored in")
-        _store(memory, at, borrowed(value))
+        _store(memory, at, value)
 
     return put
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.borrowed import borrowed, is_like, load, store
+from koop_core.borrowed import borrowed, is_of, load, store
 from koop_core.clock import Clock, steady
 from koop_core.foreign import call
 from koop_core.kernels import Kernel, njit
@@ -24,6 +24,8 @@ NOW, NEVER = -math.inf, math.inf
 NEAR = 0.5e-3  # [s] within which a tick comes before Python, which takes as long
 Reasons = NDArray[np.int64]
 """Shape (S,): why each stage of a loop has stopped, see :mod:`koop_core.port`."""
+Memory = NDArray[np.uint8]
+"""Shape (ROOM,): what is lent of a loop."""
 
 
 class Wakeup(NamedTuple):
@@ -66,18 +68,18 @@ def make_turns(loops: int, stages: int) -> Turns:
 
 
 @njit()
-def put(turns: Turns, i: int, loop: Any, like: Any) -> bool:
-    """Lend a loop, whose owner keeps it, if it is of the type of another; return whether it is."""
-    if not is_like(loop, like):
+def put(turns: Turns, i: int, loop: Any, kind: Any) -> bool:
+    """Lend a loop, whose owner keeps it, if it is of a type; return whether it is."""
+    if not is_of(loop, kind):
         return False
     store(turns.memory[i], 0, loop)
     return True
 
 
 @njit()
-def get(turns: Turns, i: int, loop: Any) -> Any:
+def get(turns: Turns, i: int, kind: Any) -> Any:
     """Return what has changed of a loop, of this type, since it was lent."""
-    return load(turns.memory[i], 0, loop).progress
+    return load(turns.memory[i], 0, kind).progress
 
 
 @njit()
@@ -118,24 +120,24 @@ def wait(wakeup: Wakeup, turns: Turns) -> bool:
 def make_run(go_on: Kernel) -> Kernel:
     """Return the kernel that runs the loops of a process.
 
-    ``go_on(most, loop, reasons)`` goes on with one until it has a reason to stop, at most so many
-    messages, and returns it and when it is due. No stage imports this module: whoever compiles
-    locks modules, from here to the stage's.
+    ``go_on(most, memory, kind, reasons)`` goes on with one, a ``Loop`` of that type in that memory,
+    until it has a reason to stop, at most so many messages, and returns when it is due. A whole
+    loop is never an argument: thousands of them would take minutes to compile. No stage imports
+    this module: whoever compiles locks modules, from here to the stage's.
     """
 
     @njit(nogil=True)
-    def run(most: int, wakeup: Wakeup, table: Turns, like: Any) -> None:
+    def run(most: int, wakeup: Wakeup, table: Turns, kind: Any) -> None:
         turns, going = borrowed(table), True
         while going:
             now = steady(wakeup.clock)
             for i in range(turns.due.size):
                 if not turns.lent[i] or turns.due[i] > now:
                     continue
-                reasons = turns.reasons[i]
-                loop, due = go_on(most, load(turns.memory[i], 0, like), reasons)
+                memory, reasons = turns.memory[i], turns.reasons[i]
+                due = go_on(most, memory, kind, reasons)
                 while reasons.max() == IDLE and is_told(wakeup, turns.descriptors[i]):
-                    loop, due = go_on(most, loop, reasons)
-                store(turns.memory[i], 0, loop)
+                    due = go_on(most, memory, kind, reasons)
                 turns.due[i] = due if reasons.max() == IDLE else NOW
                 going = going and reasons.max() == IDLE
             going = going and wait(wakeup, turns)
@@ -147,15 +149,17 @@ def alone(answer_next: Kernel, due: Kernel) -> Kernel:
     """Return ``go_on`` of :func:`make_run` for a stage by itself, which is due at a time [s]."""
 
     @njit()
-    def go_on(most: int, loop: Any, reasons: Reasons) -> Any:
+    def go_on(most: int, memory: Memory, kind: Any, reasons: Reasons) -> float:
+        loop = load(memory, 0, kind)
         reason, progress, stage = MORE, loop.progress[0], loop.stages[0]
-        lent = borrowed(stage)
         for _ in range(most):
-            reason, progress = answer_next(lent, progress)
+            reason, progress = answer_next(stage, progress)
             if reason != MORE:
                 break
         reasons[0] = reason
-        return Loop((stage,), (progress,)), due(progress)
+        store(memory, 0, Loop(loop.stages, (progress,)))
+        at: float = due(progress)
+        return at
 
     return go_on
 

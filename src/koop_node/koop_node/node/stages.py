@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+from koop_core.borrowed import kind_of
 from koop_core.kernels import Kernel
 from koop_core.port import FAILED, IDLE, MORE
 from koop_core.wakeup import NEVER, NOW, Loop, alone, get, make_run, make_turns, put
@@ -45,7 +46,7 @@ class Stages:
         self._loops = loops
         self._turns = make_turns(len(loops), len(loops[0]))
         self._lent: dict[int, tuple[list[Run], Loop]] = {}
-        self._like: Loop | None = None
+        self._kind: Any = None  # the type of what is lent of a loop
         self._looked = 0.0  # steady time [s] up to which there were messages
         now = time.monotonic()
         for number, nodes in enumerate(loops):
@@ -70,7 +71,7 @@ class Stages:
         if not self._lent:
             return
         wakeup, turns = executor.wakeup(until), self._turns
-        self._run(MOST, wakeup, turns, self._like)
+        self._run(MOST, wakeup, turns, self._kind)
         seconds, nanoseconds = wakeup.clock.memory.tolist()
         self._looked = seconds + nanoseconds * 1e-9
         for number in (turns.reasons.max(axis=1) > MORE).nonzero()[0].tolist():
@@ -88,7 +89,7 @@ class Stages:
         runs, loop = self._lent.pop(number)
         turns = self._turns
         turns.lent[number], turns.due[number], turns.reasons[number] = False, NEVER, IDLE
-        now = get(turns, number, loop)
+        now = get(turns, number, self._kind)
         for run, before, after in zip(runs, loop.progress, now, strict=True):
             run.take_back(before, after, self._looked)
         for descriptor in turns.descriptors[number].tolist():
@@ -99,28 +100,29 @@ class Stages:
         runs: list[Run] = []
         lent: list[tuple[Any, Any]] = []
         for node in self._loops[number]:
-            each = node.run and node.run.lend(self._like is None)
+            each = node.run and node.run.lend(self._kind is None)
             if node.run is None or each is None:
                 break
             runs.append(node.run)
             lent.append(each)
         else:
             loop, turns = Loop(*zip(*lent, strict=True)), self._turns
-            if self._like is None:  # compiled before the first message: it takes seconds
-                put(turns, number, loop, loop)
-                get(turns, number, loop)
-                self._run(0, executor.wakeup(0.0), turns, loop)
+            kind = self._kind if self._lent else kind_of(loop)
+            if self._kind is None:  # compiled before the first message: it takes seconds
+                put(turns, number, loop, kind)
+                get(turns, number, kind)
+                self._run(0, executor.wakeup(0.0), turns, kind)
                 release_compiler()
                 gc.freeze()  # what has come with it is looked through at every collection else
-                self._like = loop
-            elif put(turns, number, loop, loop if not self._lent else self._like):
+                self._kind = kind
+            elif put(turns, number, loop, kind):
                 readers = [run.reader for run in runs]
                 turns.descriptors[number] = [
                     executor.descriptor(each.subscription) if each else -1 for each in readers
                 ]
                 turns.lent[number], turns.due[number] = True, NOW
                 self._lent[number] = runs, loop
-                self._like = loop
+                self._kind = kind
                 return
         for run, (_, same) in zip(runs, lent, strict=True):
             run.take_back(same, same, self._looked)
