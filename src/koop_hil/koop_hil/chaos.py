@@ -75,7 +75,7 @@ class TimedFault(NamedTuple):
     lasts: float
     """Begin after the run's begin, and duration [s]."""
     kind: str
-    """A key of :data:`KINDS`."""
+    """One of :data:`KINDS`."""
 
 
 class Operator(Client):
@@ -273,61 +273,51 @@ def _address_space(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * 4096 + BYTES
 
 
-def _killed(name: str) -> Callable[[ChaosRun, bool], None]:
-    return lambda run, on: run.signal(name, signal.SIGKILL) if on else None
+KINDS = (
+    *(f"kill {name}" for name in (*PROCESSES, UP)),
+    *(f"stop {name}" for name in (*PROCESSES, UP)),
+    *(f"sensor {name}" for name in SENSOR),
+    "second controller", "second commander", "rig restarted", "network flooded", "disk full",
+    "no memory for controller", "no memory for recorder", "parameter file damaged",
+    "model file damaged",
+)  # fmt: skip
 
 
-def _stopped(name: str) -> Callable[[ChaosRun, bool], None]:
-    return lambda run, on: run.signal(name, signal.SIGSTOP if on else signal.SIGCONT)
+def act(run: ChaosRun, kind: str, on: bool) -> None:
+    """Begin or end a fault of a kind."""
+    first, _, rest = kind.partition(" ")
+    match first:
+        case "kill" if on:
+            run.signal(rest, signal.SIGKILL)
+        case "stop":
+            run.signal(rest, signal.SIGSTOP if on else signal.SIGCONT)
+        case "sensor":
+            run.sensor(rest, on)
+        case "second":
+            run.operator.publish_beside("/theta" if rest == "controller" else COMMAND, on)
+        case "rig" if on:
+            run.restart_rig()
+        case "network" if on:
+            flood(run.random.randbytes(1200))
+        case "disk":
+            most = 1 if on else resource.RLIM_INFINITY
+            run.limit("recorder", resource.RLIMIT_FSIZE, lambda _: most)
+        case "no":
+            _, all_of_it = resource.prlimit(0, resource.RLIMIT_AS)
+            most_of = _address_space if on else lambda _: all_of_it
+            run.limit(rest.removeprefix("memory for "), resource.RLIMIT_AS, most_of)
+        case "parameter" | "model":
+            run.damage(run.parameters if first == "parameter" else run.model, on)
 
 
-def _sensor(name: str) -> Callable[[ChaosRun, bool], None]:
-    return lambda run, on: run.sensor(name, on)
-
-
-def _flood(run: ChaosRun, on: bool) -> None:
+def flood(noise: bytes) -> None:
     """Send datagrams of noise to the ports of the domain's participants."""
     first = 7400 + 250 * current_domain() + 10
-    noise = b"RTPS\x02\x03" + run.random.randbytes(1200)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        for i in range(20000 if on else 0):
+        for i in range(20000):
             with contextlib.suppress(OSError):
-                out.sendto(noise, ("127.0.0.1", first + i % 40))
+                out.sendto(b"RTPS\x02\x03" + noise, ("127.0.0.1", first + i % 40))
 
-
-def _memory(name: str) -> Callable[[ChaosRun, bool], None]:
-    return lambda run, on: (
-        run.limit(name, resource.RLIMIT_AS, _address_space)
-        if on
-        else run.limit(
-            name, resource.RLIMIT_AS, lambda _: resource.prlimit(0, resource.RLIMIT_AS)[1]
-        )
-    )
-
-
-def _disk(run: ChaosRun, on: bool) -> None:
-    run.limit("recorder", resource.RLIMIT_FSIZE, lambda _: 1 if on else resource.RLIM_INFINITY)
-
-
-def _other(topic: str) -> Callable[[ChaosRun, bool], None]:
-    """Return what begins or ends another publisher of theta_safe on a topic."""
-    return lambda run, on: run.operator.publish_beside(topic, on)
-
-
-KINDS: dict[str, Callable[[ChaosRun, bool], None]] = {
-    **{f"kill {name}": _killed(name) for name in (*PROCESSES, UP)},
-    **{f"stop {name}": _stopped(name) for name in (*PROCESSES, UP)},
-    **{f"sensor {name}": _sensor(name) for name in SENSOR},
-    "second controller": _other("/theta"),
-    "second commander": _other(COMMAND),
-    "rig restarted": lambda run, on: run.restart_rig() if on else None,
-    "network flooded": _flood,
-    "disk full": _disk,
-    **{f"no memory for {name}": _memory(name) for name in ("controller", "recorder")},
-    "parameter file damaged": lambda run, on: run.damage(run.parameters, on),
-    "model file damaged": lambda run, on: run.damage(run.model, on),
-}
-"""Functions that begin and end a fault of each kind, given the run and whether it begins."""
 
 TARGETS = {kind: name for name in (*PROCESSES, UP) for kind in KINDS if kind.endswith(f" {name}")}
 TARGETS["disk full"] = "recorder"
@@ -341,7 +331,7 @@ def draw(seed: int, count: int) -> list[TimedFault]:
     True
     """
     rng = random.Random(seed)
-    kinds = list(KINDS) * (count // len(KINDS)) + rng.sample(list(KINDS), count % len(KINDS))
+    kinds = list(KINDS) * (count // len(KINDS)) + rng.sample(KINDS, count % len(KINDS))
     rng.shuffle(kinds)
     begins = itertools.accumulate(rng.expovariate(1.0 / EVERY) for _ in kinds)
     return [
@@ -379,7 +369,7 @@ def run(folder: Path, seed: int, count: int) -> None:
                 heapq.heappush(todo, (now + 1.0, next(order), kind, lasts))  # it is not there now
                 continue
             it.note("fault", kind=kind, on=lasts > 0.0, memory=it.memory())
-            KINDS[kind](it, lasts > 0.0)
+            act(it, kind, lasts > 0.0)
             if lasts > 0.0:
                 heapq.heappush(todo, (now + lasts, next(order), kind, 0.0))
                 bar.update()
