@@ -22,6 +22,8 @@ from koop_core.errors import LiveError
 Result = TypeVar("Result")
 RING = 20
 """Files of a ring and its alarms: what is dropped at once is one part of so many."""
+CHUNK = 64 * 1024
+"""A chunk goes to disk when it holds this much [B], if not before."""
 RESERVE = 100_000_000
 """Free space that a disk should have where no size of a file says more [B]."""
 
@@ -31,12 +33,10 @@ class WriterOptions(Settings):
     """How a bag is written."""
 
     compression: str = parameter("zstd", "of the file's chunks", choices=("none", "zstd"))
-    chunk_bytes: int = parameter(
-        64 * 1024, "a chunk goes to disk when it holds this much", unit="B", low=1024
-    )
     chunk_seconds: float = parameter(
         0.1,
-        "or when its first message is this old: what a killed recorder can lose at low rates",
+        "a chunk goes to disk when its first message is this old: what a killed recorder can lose "
+        "at low rates",
         unit="s",
         low=0.0,
     )
@@ -111,7 +111,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             )
         self._lock = lock(self.folder) if self.options.is_ring else None
         chunk_age = int(self.options.chunk_seconds * 1e9)
-        self._chunk = ChunkBuffer(self.options.compression, self.options.chunk_bytes, chunk_age)
+        self._chunk = ChunkBuffer(self.options.compression, CHUNK, chunk_age)
         self._open_file()
 
     @property
@@ -223,7 +223,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if self.closed or not options.is_ring or free >= options.reserve:
             return
         self.flush()
-        if self._file.record.size >= 16 * options.chunk_bytes:
+        if self._file.record.size >= 16 * CHUNK:
             self._guarded(self._next_file)
         dropped = False
         while free < options.reserve and (self._earlier.files or len(self._files) > 2):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +27,10 @@ class Log:
     deviation of each number of the true state. The first line names those before these.
     """
 
-    def __init__(
-        self, path: str, dt: float, knobs: Sequence[str], clock: Callable[[], float] = time.time
-    ) -> None:
+    def __init__(self, path: str, dt: float, knobs: Sequence[str]) -> None:
         self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  open to the end, by lines
         self._file.write("#clock,time," + ",".join(knobs) + "\n")
-        self._count, self._clock, self._knobs = round(1.0 / dt), clock, len(knobs)
+        self._count, self._knobs = round(1.0 / dt), len(knobs)
         self._samples: list[tuple[float, ...]] = []
 
     def add(self, t: float, theta: Sequence[float], truth: Sequence[float]) -> None:
@@ -44,7 +42,7 @@ class Log:
         moments = np.stack([samples.mean(axis=0), samples.std(axis=0)], axis=1)
         values = [*moments[: self._knobs, 0], *moments[self._knobs :].ravel()]
         self._samples.clear()
-        self._file.write(f"{self._clock():.3f},{t:.3f}")
+        self._file.write(f"{time.time():.3f},{t:.3f}")
         self._file.write("".join(f",{value:.6g}" for value in values) + "\n")
 
 
