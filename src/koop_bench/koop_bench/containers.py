@@ -58,12 +58,12 @@ class Fleet(Client):
         """Return the last report of each loop."""
         return [counts_of(name, self.values, self.times) for name in self.namespaces]
 
-    def wait_until_running(self) -> None:
-        """Wait until every plant has done a step; raise LiveError if one does not."""
+    def wait_until_running(self, steps: int = 1) -> None:
+        """Wait until every plant has done so many steps; raise LiveError if one does not."""
         waiting = {f"{namespace}/vdp_plant" for namespace in self.namespaces}
 
         def ready() -> bool:
-            begun = {n for n in waiting if int(self.values.get(n, {}).get("step", 0))}
+            begun = {n for n in waiting if int(self.values.get(n, {}).get("step", 0)) >= steps}
             waiting.difference_update(begun)
             return not waiting
 
