@@ -73,6 +73,16 @@ def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig, capfd):
         assert abs(theta[j] - theta[i]) <= RIG.theta_rate * (times[j] - times[i] + 0.15)
 
 
+def test_where_a_step_changes_nothing_theta_goes_farther(fast_rig, capfd):
+    """The optimum, 0.8, lies in the middle of the first step."""
+    fast_rig.theta = 0.425
+    rows, bad = rows_of(replace(RIG, theta_start=0.425))
+    assert bad == [], [rows[name].text for name in bad]
+    moves = re.findall(r"( |farther: )moving theta between (\S+) and (\S+),", capfd.readouterr().out)
+    assert moves == [(" ", "0.425", "1.175"), ("farther: ", "0.425", "1.925")]
+    assert "theta from 0.425 to 1.925" in rows["theta"].text
+
+
 @pytest.mark.parametrize("time_out", [2.0, None])
 def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, probe, time_out):
     fast_rig.time_out = time_out

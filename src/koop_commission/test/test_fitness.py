@@ -103,7 +103,7 @@ def test_a_dead_sensor_and_a_command_that_is_not_applied_are_a_finding_each():
     finding = judge_reaction(reaction, ["x"], "theta from 0 to 1")
     assert finding.level == BAD
     assert "the command is not applied, or theta has no effect there: " in finding.text
-    assert finding.text.endswith("or choose another theta_start")
+    assert finding.text.endswith("or choose another theta_start (with a constraint: theta_safe)")
     assert "nothing reacts (p = 0." in finding.text
 
 

@@ -138,7 +138,7 @@ def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Fi
     if reaction.p > max(DEFAULTS.p, DEFAULTS.p_more):
         why = (
             "the command is not applied, or theta has no effect there: see that the rig takes it, "
-            "or choose another theta_start"
+            "or choose another theta_start (with a constraint: theta_safe)"
         )
         return Finding(BAD, "theta", f"{between}: nothing reacts (p = {reaction.p:.2f}): {why}")
     name, change = names[reaction.feature], reaction.change

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,12 +161,12 @@ def check_rig(
                         if rig.bounded is not None:
                             rig = find_safe_range(rig, rig.bounded, session).narrow(rig)
                         draw = rng or random.Random()
-                        moved, settle, blocks = _move_theta(rig, session, period, draw)
+                        moved, block = _move_theta(rig, session, period, draw)
                         yield from moved
                         fit = all(finding.level != BAD for finding in moved)
                         session.hide()  # not over the question
-                        if fit and ask(describe_test(rig, settings), session.wait_until):
-                            yield _test_time_out(rig, session, settle, blocks, settings)
+                        if fit and ask(describe_test(rig, block, settings), session.wait_until):
+                            yield _test_time_out(rig, session, block, settings)
                         elif fit:
                             yield Finding(
                                 NOTE,
@@ -190,16 +190,27 @@ def _listen(listener: Listener, rig: RigFile, settings: CheckSettings) -> Sample
     return samples
 
 
+class _Block(NamedTuple):
+    """How theta is moved and a block is looked at."""
+
+    share: float
+    """Of its range by which theta moves."""
+    settle: int
+    """States that are left out first."""
+    blocks: Blocks
+    """How those after them are compared."""
+
+
 def _move_theta(
     rig: RigFile, session: Session, period: float, rng: random.Random
-) -> tuple[list[Finding], int, Blocks]:
-    """Test each knob, with blocks of growing length until the rig reacts or the time is over.
+) -> tuple[list[Finding], _Block]:
+    """Test each knob, in longer blocks and farther until the rig reacts or the time is over.
 
-    Returned are also the states left out before a block, and how the last ones were looked at. Of
-    several knobs one is enough: another that does nothing is noted.
+    On the floor of a wide valley a small step changes nothing. Returned is also how the last blocks
+    were. Of several knobs one is enough: another that does nothing is noted.
     """
     theta, findings = session.theta.value, list[Finding]()
-    for factor, stages in DEFAULTS.series:
+    for number, (factor, stages) in enumerate(DEFAULTS.series, 1):
         observe = max(64, math.ceil(factor * DEFAULTS.observe * period / rig.dt))
         settle = math.ceil(
             max(factor * DEFAULTS.settle * period, DEFAULTS.late * rig.pace) / rig.dt
@@ -207,25 +218,27 @@ def _move_theta(
         whole = sum(count for count, _ in stages) * (settle + observe) * rig.dt
         if findings and rig.count * whole > rig.time:
             break  # the rig file does not allow it
-        again = "nothing reacts yet, so in longer blocks: " * bool(findings)
+        again = "nothing reacts yet, so in longer blocks and farther: " * bool(findings)
         x = bridge_gaps(session.listener.samples().x)
         blocks = Blocks.choose(x, Windows(observe, rig.dt))
+        block = _Block(number * DEFAULTS.step, settle, blocks)
         findings = [
-            _move_knob(rig, session, theta, knob, again, settle, blocks, stages, rng)
+            _move_knob(rig, session, theta, knob, again, block, stages, rng)
             for knob in range(rig.count)
         ]
         if any(finding.level != BAD for finding in findings):
             findings = [f._replace(level=NOTE) if f.level == BAD else f for f in findings]
             break
-    return findings, settle, blocks
+    return findings, block
 
 
 def _move_knob(
-    rig: RigFile, session: Session, theta: tuple[float, ...], knob: int, again: str, settle: int,
-    blocks: Blocks, stages: Sequence[tuple[int, float]], rng: random.Random,
+    rig: RigFile, session: Session, theta: tuple[float, ...], knob: int, again: str, block: _Block,
+    stages: Sequence[tuple[int, float]], rng: random.Random,
 ) -> Finding:  # fmt: skip
     """Test whether the rig reacts to one knob."""
-    other = step_away(rig, theta, DEFAULTS.step, knob)
+    share, settle, blocks = block
+    other = step_away(rig, theta, share, knob)
     way = abs(other[knob] - theta[knob]) / rig.each("theta_rate")[knob]
     seconds = way + (settle + blocks.windows.length) * rig.dt
     counts, name = [count for count, _ in stages], rig.knob_names[knob]
@@ -261,9 +274,9 @@ def step_away(
     ])  # fmt: skip
 
 
-def describe_test(rig: RigFile, settings: CheckSettings) -> str:
+def describe_test(rig: RigFile, block: _Block, settings: CheckSettings) -> str:
     """Return the question whether to test for a time-out of the rig."""
-    far = format_knobs(step_away(rig, rig.each("theta_safe"), DEFAULTS.step), ".4g")
+    far = format_knobs(step_away(rig, rig.each("theta_safe"), block.share), ".4g")
     return (
         f"      Has the rig a time-out of its own? To see, theta stays at {far} for up to "
         f"{settings.silence:g} s without a guard, and nothing is commanded. Test that?"
@@ -271,14 +284,14 @@ def describe_test(rig: RigFile, settings: CheckSettings) -> str:
 
 
 def _test_time_out(
-    rig: RigFile, session: Session, settle: int, blocks: Blocks, settings: CheckSettings
+    rig: RigFile, session: Session, block: _Block, settings: CheckSettings
 ) -> Finding:
     """Stop guard and twin beside theta_safe, and see whether the rig returns by itself.
 
     What the guard then does is no longer looked at: it may trip for what it did not hear.
     """
-    safe = rig.each("theta_safe")
-    far = step_away(rig, safe, DEFAULTS.step)
+    safe, (share, settle, blocks) = rig.each("theta_safe"), block
+    far = step_away(rig, safe, share)
     known: dict[tuple[float, ...], list[NDArray[np.float64]]] = {safe: [], far: []}
     for theta in tuple(known) * DEFAULTS.known:
         known[theta].append(_observe(rig, session, theta, settle, blocks))
