@@ -78,7 +78,8 @@ def test_where_a_step_changes_nothing_theta_goes_farther(fast_rig, capfd):
     fast_rig.theta = 0.425
     rows, bad = rows_of(replace(RIG, theta_start=0.425))
     assert bad == [], [rows[name].text for name in bad]
-    moves = re.findall(r"( |farther: )moving theta between (\S+) and (\S+),", capfd.readouterr().out)
+    said = capfd.readouterr().out
+    moves = re.findall(r"( |farther: )moving theta between (\S+) and (\S+),", said)
     assert moves == [(" ", "0.425", "1.175"), ("farther: ", "0.425", "1.925")]
     assert "theta from 0.425 to 1.925" in rows["theta"].text
 
