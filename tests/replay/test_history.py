@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
+from koop_core.ended import Ended, note_end
 from koop_lab.cli.main import main
 from koop_lab.history.seconds import TABLES, Rows, with_guard
 
@@ -163,6 +164,42 @@ def test_each_thing_that_happened_has_a_sentence(week, capsys):
         assert sentence in text
         assert text.count(sentence) == 1
     assert "koop_guard said" not in text  # its trip is told
+
+
+@pytest.mark.parametrize(
+    ("ended", "told"),
+    [
+        (
+            Ended(BEGIN + 590, "relay_esc was killed by signal 9", "theta is left at -2"),
+            "The loop ended by a fault: relay_esc was killed by signal 9; theta is left at -2.",
+        ),
+        (Ended(), "The loop ended by a fault: koop up was killed"),
+        (Ended(BEGIN + 590), ""),
+    ],
+)
+def test_an_end_of_the_loop_that_was_a_fault_is_told_with_its_cause(tmp_path, ended, told, capsys):
+    """Failed before: nothing of it was told, and "The guard did not trip."."""
+    write_days(tmp_path / "run", 0, 600)
+    (tmp_path / "run" / "logs").mkdir()
+    note_end(tmp_path / "run" / "logs", ended)
+    assert main(["report", str(tmp_path)]) == 0
+    _, text = read_page(tmp_path / "history.html")
+    events = text.split("what happened")[-1]
+    assert told in events
+    assert ("The guard did not trip." in text) == (not told)
+    assert ("The loop failed 1 time, at last " in text) == bool(told)
+    assert ("koop up" not in told) or "the guard left theta at -2" in events
+
+
+def test_a_recorder_that_was_lost_is_told_with_the_time(tmp_path, capsys):
+    write_days(tmp_path / "run", 0, 600, closed=False)
+    (tmp_path / "run" / "logs").mkdir()
+    lost = ((BEGIN + 300.0, "recorder was killed by signal 9"),)
+    note_end(tmp_path / "run" / "logs", Ended(BEGIN + 900.0, lost=lost))
+    assert main(["report", str(tmp_path)]) == 0
+    _, text = read_page(tmp_path / "history.html")
+    assert "recorder was killed by signal 9; the loop went on without it" in text
+    assert "This recording was not closed" not in text
 
 
 def test_only_the_last_hours_are_shown_where_so_asked(week, capsys):

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 
 import pytest
 
@@ -15,6 +16,8 @@ from koop_bringup.live.monitor import Progress
 from koop_bringup.live.notify import ServiceManager
 from koop_bringup.live.process import NodeProcess
 from koop_bringup.plan import Plan
+from koop_core.ended import Ended, read_end
+from koop_core.errors import LiveError
 
 # Ends when it is told to, and until then lets its parent be told once more.
 ENDS_LATE = """
@@ -217,3 +220,36 @@ def test_an_error_of_another_program_is_told_apart_from_the_health_of_the_loop(t
                    heard={"relay_esc": 1.0})  # fmt: skip
     assert judge_health(own, ["relay_esc"], [], 2.0) == ["relay_esc ERROR: no cost"]
     assert "not of this loop" not in describe_loop(own, [], {"relay_esc": {}}, tmp_path, False, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "failure"), [(None, ""), (KeyboardInterrupt, ""), (LiveError("no disk"), "no disk")]
+)
+def test_the_logs_note_how_a_loop_ended_and_before_that_it_did_not(
+    tmp_path, own_domain, error, failure
+):
+    """Failed before: nothing was left of it but words on a terminal."""
+    with suppress(KeyboardInterrupt, LiveError), LiveNodes(tmp_path, Plan({})):
+        assert read_end(tmp_path / "logs") == Ended()
+        if error is not None:
+            raise error
+    ended = read_end(tmp_path / "logs")
+    assert abs(ended.time - time.time()) < 60.0
+    assert ended.failure == failure
+
+
+def test_a_node_that_ended_is_noted_as_the_failure_or_as_lost(tmp_path):
+    for role, rig in (("relay_esc", True), ("recorder", True)):
+        folder = tmp_path / role
+        (folder / "logs").mkdir(parents=True)
+        run = LiveNodes(folder, Plan({role: {}}, rig=rig))
+        run._nodes[role] = node = NodeProcess(
+            role, ["import os; os.kill(os.getpid(), 9)"], folder / "log", [sys.executable, "-c"]
+        )
+        node.process.wait()
+        with suppress(LiveError):
+            run._done()
+        ended = read_end(folder / "logs")
+        told = ended.failure or ended.lost[0][1]
+        assert told == f"{role} was killed by signal 9"
+        assert bool(ended.lost) == (role == "recorder")

@@ -8,7 +8,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, 
 from koop_bringup.live.turns import take_turns
 from koop_bringup.plan import Plan, return_time
 from koop_core.config import parameter_file
+from koop_core.ended import Ended, note_end
 from koop_core.errors import LiveError
 from koop_core.journal import make_journal
 from koop_guard.note import THETA_LEFT, TWIN
@@ -65,6 +66,8 @@ class LiveNodes:
         self._nodes: dict[str, NodeProcess] = {}
         self._theta_left = ""
         """Where theta of the rig is, once the guard has ended."""
+        self._ended = Ended()
+        """What the logs note of the end."""
         self._begun = time.monotonic()
         self._manager = ServiceManager()
         self._place: socket.socket | None = None
@@ -80,6 +83,7 @@ class LiveNodes:
             stack.callback(self._close_desk)
             logs = self.folder / "logs"
             logs.mkdir(parents=True, exist_ok=True)
+            self._note_end(self._ended)
             file = logs / "given_parameters.yaml"
             parameter_file.write(self._values, file)
             arguments = ["--ros-args", "--params-file", str(file)]
@@ -103,8 +107,12 @@ class LiveNodes:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, kind: object, error: object, where: object) -> None:
         self._stack.close()
+        ended = replace(self._ended, time=self._ended.time or time.time(), theta=self._theta_left)
+        if not ended.failure and isinstance(error, Exception):  # Ctrl-C is none
+            ended = replace(ended, failure=str(error))
+        self._note_end(ended)
 
     @uninterrupted()
     def _stop_all(self, to_guard: int = signal.SIGTERM) -> dict[str, int]:
@@ -251,11 +259,20 @@ class LiveNodes:
             if end is Ending.DONE:
                 return True
             if end is Ending.FAILED:
+                self._note_end(replace(self._ended, time=time.time(), failure=process.end()))
                 self._end_guard()  # the recorder still works
                 raise process.failure()
             self.lost.append(node)
+            lost = (*self._ended.lost, (time.time(), process.end()))
+            self._note_end(replace(self._ended, lost=lost))
             self._note(f"{process.failure()}\nthe loop goes on without it")
         return False
+
+    def _note_end(self, ended: Ended) -> None:
+        """Let the logs tell how the loop ended, so far."""
+        self._ended = ended
+        with suppress(LiveError):  # a full disk ends no loop
+            note_end(self.folder / "logs", ended)
 
     def _note(self, text: str) -> None:
         self.notes.append(text)

@@ -163,10 +163,14 @@ class NodeProcess:
         """Return the end of the node's output."""
         return "\n".join(self.log.read_text(errors="replace").splitlines()[-count:])
 
+    def end(self) -> str:
+        """Return how the process ended, in words."""
+        code = self.process.poll()
+        return f"{self.node} has not ended" if code is None else describe_end(self.node, code)
+
     def failure(self) -> LiveError:
         """Return the error that says how the process ended, with its last words."""
-        code = self.process.poll()
-        end = "has not ended" if code is None else describe_end(self.node, code)
+        code, end = self.process.poll(), self.end()
         # who is killed has said nothing about it
         words = "" if code == -signal.SIGKILL else f":\n{self.last_lines()}"
         return LiveError(f"{end}{words}\n({self.log})")

@@ -10,7 +10,8 @@ from typing import NamedTuple
 from koop_core.config.knobs import format_knobs
 from koop_core.stream.report import LEVELS
 from koop_guard.guard import Cause, Status
-from koop_lab.history.read import GuardMessage, HealthMessage, History
+from koop_guard.note import THETA_LEFT
+from koop_lab.history.read import GuardMessage, HealthMessage, History, RunSpan
 
 BRIEF = 5.0  # [s] below which a warning is not told, as the log of a node does not
 NEAR = 600.0  # [s] between troubles of a node that are told together
@@ -37,7 +38,8 @@ class Trouble(NamedTuple):
 
 def list_events(history: History) -> list[Event]:
     """Return what happened, in order."""
-    events = [*_runs(history), *trips(history), *_models(history), *_health(history)]
+    told = (_runs, trips, faults, _models, _health)
+    events = [event for tell in told for event in tell(history)]
     return sorted(events)
 
 
@@ -76,6 +78,11 @@ def trips(history: History) -> list[Event]:
     return events
 
 
+def faults(history: History) -> list[Event]:
+    """Return the ends of the loop that were not in order, and where theta went."""
+    return [fault for run in history.runs if (fault := _fault(run, history)) is not None]
+
+
 def troubles(history: History) -> list[Trouble]:
     """Return when nodes were not well; the guard's trips are told by the guard."""
     troubles: list[Trouble] = []
@@ -103,6 +110,26 @@ def _trip(trip: GuardMessage, end: float, how: str) -> Event:
     return Event(trip.time, end, text)
 
 
+def _fault(run: RunSpan, history: History) -> Event | None:
+    ended = run.ended
+    if ended is None or (ended.time and not ended.failure):
+        return None
+    if ended.time:
+        left = ended.theta[max(ended.theta.find(THETA_LEFT), 0) :]
+        text = f"The loop ended by a fault: {ended.failure}" + f"; {left}" * bool(left)
+        return Event(ended.time, ended.time, f"{text}.")
+    if not run.closed:  # it may still go on
+        return None
+    said = [message for message in history.guard if run.begin - 1.0 <= message.time <= run.end]
+    last = next((m for m in reversed(said) if m.status == Status.TRIPPED), None)
+    begin = next((m.time for m in said if m.cause == Cause.ENDED), run.end)
+    text = "The loop ended by a fault: koop up was killed, for it noted no end"
+    if last is not None:
+        theta = format_knobs([value for value in last.theta if math.isfinite(value)])
+        text += f"; the guard left theta at {theta}"
+    return Event(begin, begin, f"{text}.")
+
+
 def _end_between(history: History, begin: float, end: float) -> float | None:
     """Return when the run that holds the first time ended, if that is before the second."""
     ends = [run.end for run in history.runs if run.begin - 1.0 <= begin <= run.end < end]
@@ -117,7 +144,10 @@ def _runs(history: History) -> Iterator[Event]:
             pause = f", after {format_span(run.begin - before.end)} without one"
         where = f"the recording in {run.folder}{pause}."
         yield Event(run.begin, run.begin, f"Here begins {where}")
-        if not run.closed:
+        lost = () if run.ended is None else run.ended.lost
+        for time, how in lost:
+            yield Event(time, time, f"{how}; the loop went on without it.")
+        if not run.closed and not lost:
             text = "This recording was not closed: it still goes on, or its recorder was killed."
             yield Event(run.end, run.end, text)
         before = run

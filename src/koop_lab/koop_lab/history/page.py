@@ -13,6 +13,7 @@ from koop_core.stream.report import LEVELS
 from koop_lab.history.events import (
     MOST,
     Trouble,
+    faults,
     format_span,
     list_events,
     trips,
@@ -66,15 +67,25 @@ def write_sentences(history: History) -> Iterator[str]:
             f"{last:.3g} at last (medians of a tenth of the time or more), at most "
             f"{amplitude[at]:.3g} over {rows.weight[at]:g} s ({_at(rows.time[at], MINUTE)})."
         )
+    failed = faults(history)
+    if failed:
+        last, times = failed[-1], _count(len(failed), "time")
+        yield f"The loop failed {times}, at last {_at(last.begin, SECOND)}. {last.text}"
     lost = _length([(trip.begin, trip.end) for trip in tripped])
     yield (
         f"The guard tripped {_count(len(tripped), 'time')}, and kept theta from the controller for "
         f"{format_span(lost)}."
         if tripped
-        else ("The guard did not trip." if history.guard else "No guard was recorded.")
+        else _no_trip(history, bool(failed))
     )
     bad = _length([(trouble.begin, trouble.end) for trouble in ill])
     yield f"No node complained for {_share(recorded - bad, recorded)} of the recorded time."
+
+
+def _no_trip(history: History, failed: bool) -> str:
+    if not history.guard:
+        return "No guard was recorded."
+    return "Apart from that, the guard did not trip." if failed else "The guard did not trip."
 
 
 def _make_sections(history: History) -> Iterator[Section]:

@@ -18,6 +18,7 @@ from koop_bag.bag.summary import FIELDS, SECOND, LoopSecond, Seconds
 from koop_bag.errors import BagError
 from koop_core.config.fields import parse_source
 from koop_core.config.knobs import MOST
+from koop_core.ended import Ended, read_end
 from koop_core.errors import InputError, KoopError
 from koop_guard.guard import Status
 from koop_identify.recording.recorded_parameters import recorded_values
@@ -31,7 +32,7 @@ from koop_lab.history.seconds import (
     with_guard,
 )
 
-BAG, SUMMARY = "bag", "summary"
+BAG, SUMMARY, LOGS = "bag", "summary", "logs"
 GUARD_STATE = "koop_msgs/msg/GuardState"
 GUARD = (
     "log_time", "status", "cause", "reason",
@@ -70,6 +71,8 @@ class RunSpan:
     begin: float
     end: float
     closed: bool
+    ended: Ended | None = None
+    """What the run noted of its end; None: nothing, as of ``ros2 launch``."""
 
 
 @dataclass
@@ -215,7 +218,10 @@ def _look_at(folder: Path, parts: _Parts) -> RunSpan:
                     first = next(bag.messages(start=CLOCK_SET * SECOND)).log_time
                 begin, end = min(begin, first * 1e-9), max(end, last * 1e-9)
             closed = bag.complete
-    return RunSpan(folder, begin, end, closed)
+    ended = None
+    with suppress(KoopError):  # it is torn: then nothing is known
+        ended = read_end(folder / LOGS)
+    return RunSpan(folder, begin, end, closed, ended)
 
 
 def _read_run(run: RunSpan, parts: _Parts) -> None:
