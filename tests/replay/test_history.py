@@ -202,6 +202,41 @@ def test_a_recorder_that_was_lost_is_told_with_the_time(tmp_path, capsys):
     assert "This recording was not closed" not in text
 
 
+def write_guard(folder, begin, end, *messages):
+    """Write a run of a guard whose messages come at times, and a state a second."""
+    with BagWriter(folder / "bag") as writer:
+        state = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+        guard = writer.add_topic("/koop_guard/state", load_schema(GUARD))
+        times = [(BEGIN + t, state, MeasuredState(step=t, x=[0.0])) for t in range(begin, end)]
+        for t, values in messages:
+            message = GuardState(**values)
+            message.header.stamp.sec = BEGIN + t
+            times.append((BEGIN + t, guard, message))
+        for time, channel, message in sorted(times, key=lambda item: item[0]):
+            writer.write(channel, time * 10**9, time * 10**9, serialize_message(message))
+
+
+def test_a_trip_that_is_latched_over_restarts_is_one_event(tmp_path, capsys):
+    """Failed before: a trip for each start, and the last one lasted for less than nothing."""
+    trip = {"status": 2, "cause": "told to", "reason": "told to by a test"}
+    first = {**trip, "tripped_at": BEGIN + 20.0, "tripped_theta": [1.25]}
+    again = {**first, "theta": [SAFE]}
+    other = {**trip, "tripped_at": BEGIN + 370.0, "tripped_theta": [0.75]}
+    following, waiting = {"status": 1, "theta": [0.0]}, {"status": 0, "theta": [SAFE]}
+    write_guard(tmp_path / "a", 0, 60, (0, following), (20, first), (30, again))
+    write_guard(tmp_path / "b", 100, 160, (100, waiting), (105, again))
+    write_guard(tmp_path / "c", 200, 260, (200, waiting), (205, again), (240, following))
+    write_guard(tmp_path / "d", 300, 360, (300, following), (350, trip))  # rearmed elsewhere
+    write_guard(tmp_path / "e", 365, 370, (365, waiting), (372, other))  # said after all else
+    assert main(["report", str(tmp_path)]) == 0
+    _, text = read_page(tmp_path / "history.html")
+    assert "tripped 3 times" in text
+    assert text.count("tripped at theta = 1.25: told to by a test") == 1
+    assert "rearmed after 3.67 min" in text
+    assert "; the recording ended after 9 s" in text
+    assert "not rearmed until the end, for 0 s" in text
+
+
 def test_only_the_last_hours_are_shown_where_so_asked(week, capsys):
     assert main(["report", str(week), "--since", "6h"]) == 0
     panels, text = read_page(week / "history.html")

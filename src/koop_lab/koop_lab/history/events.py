@@ -14,6 +14,7 @@ from koop_guard.note import THETA_LEFT
 from koop_lab.history.read import GuardMessage, HealthMessage, History, RunSpan
 
 BRIEF = 5.0  # [s] below which a warning is not told, as the log of a node does not
+SAME = 2.0  # [s] within which two guards tell of the same trip: a clock is set by less
 NEAR = 600.0  # [s] between troubles of a node that are told together
 MOST = 500  # sentences
 
@@ -58,23 +59,29 @@ def format_span(seconds: float) -> str:
 def trips(history: History) -> list[Event]:
     """Return the guard's trips, each until the controller commanded again.
 
-    That theta returned when the loop ended is not one.
+    One that is latched over restarts of the loop is one trip. That theta returned when the loop
+    ended is none.
     """
     events = []
     trip: GuardMessage | None = None
+    last = 0.0  # when the guard last said that it is tripped
     for message in history.guard:
         tripped = message.status == Status.TRIPPED and message.cause != Cause.ENDED
-        if tripped and trip is None:
-            trip = message
-        elif message.status == Status.FOLLOWING and trip is not None:
+        if message.status == Status.FOLLOWING and trip is not None:
             events.append(_trip(trip, message.time, "; rearmed after "))
             trip = None
-        elif trip is not None and (end := _end_between(history, trip.time, message.time)):
-            events.append(_trip(trip, end, "; the recording ended after "))
-            trip = message if tripped else None
+        elif tripped:
+            end = None if trip is None else _end_between(history, last, message.time)
+            # it is latched, also over a restart of the loop
+            if trip is not None and end and abs(message.tripped - trip.tripped) > SAME:
+                events.append(_trip(trip, end, "; the recording ended after "))
+                trip = None
+            trip, last = trip or message, message.time
     if trip is not None:
-        end = max(run.end for run in history.runs)
-        events.append(_trip(trip, end, "; not rearmed until the end, for "))
+        end = _end_between(history, last, math.inf) or last
+        ended = end < max(run.end for run in history.runs)
+        how = "the recording ended after" if ended else "not rearmed until the end, for"
+        events.append(_trip(trip, end, f"; {how} "))
     return events
 
 

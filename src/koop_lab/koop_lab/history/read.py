@@ -35,7 +35,7 @@ from koop_lab.history.seconds import (
 BAG, SUMMARY, LOGS = "bag", "summary", "logs"
 GUARD_STATE = "koop_msgs/msg/GuardState"
 GUARD = (
-    "log_time", "status", "cause", "reason",
+    "log_time", "header.stamp", "tripped_at", "status", "cause", "reason",
     *(f"{name}[{k}]" for name in ("theta", "tripped_theta") for k in range(MOST)),
 )  # fmt: skip
 HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
@@ -44,7 +44,11 @@ LONG, SHORT, FINE = 7200.0, 10.0, 60.0  # [s]: within a span of LONG, amplitudes
 
 
 class GuardMessage(NamedTuple):
-    """A guard's message: time [s since the epoch], status as in GuardState, why, theta."""
+    """A guard's message: time [s since the epoch], status as in GuardState, why, theta.
+
+    ``tripped`` is the time of the trip [s since the epoch]; that of the message where it is not
+    known.
+    """
 
     time: float
     status: int
@@ -52,6 +56,7 @@ class GuardMessage(NamedTuple):
     reason: str
     theta: tuple[float, ...]
     tripped_theta: tuple[float, ...]
+    tripped: float
 
 
 class HealthMessage(NamedTuple):
@@ -292,9 +297,10 @@ def _read_events(bag: BagReader, parts: _Parts, start: int) -> None:
             if stamp < start:
                 continue
             if fields is GUARD:
-                status, cause, reason, *theta = values
-                at, tripped = tuple(theta[:MOST]), tuple(theta[MOST:])
-                message = GuardMessage(time, status, cause, reason, at, tripped)
+                now, tripped_at, status, cause, reason, *theta = values
+                then = time - (now * 1e-9 - tripped_at) if now and tripped_at else time
+                at = tuple(theta[:MOST]), tuple(theta[MOST:])
+                message = GuardMessage(time, status, cause, reason, *at, then)
                 parts.guard.setdefault((name, time), message)
             elif isinstance(node := values[0], str):
                 parts.health.setdefault((node, time), HealthMessage(time, node, *values[1:]))
