@@ -155,7 +155,7 @@ def test_a_file_of_the_recording_that_goes_meanwhile_is_not_counted(tmp_path):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "kept.mcap").write_bytes(bytes(1_500_000))
     (tmp_path / "bag" / "dropped.mcap").symlink_to("nowhere")
-    text = describe_loop(Progress(), [], {}, tmp_path, True, 1.0)
+    text = describe_loop(Progress(), [], {}, tmp_path, True, 1.0, 2.0)
     assert "recording, 1.5 MB" in text
 
 
@@ -171,7 +171,7 @@ def test_a_file_of_the_recording_that_goes_meanwhile_is_not_counted(tmp_path):
     ],
 )
 def test_a_status_names_the_rig_also_by_defaults(tmp_path, parameters, rig):
-    text = describe_loop(Progress(), [], parameters, tmp_path, False, 1.0)
+    text = describe_loop(Progress(), [], parameters, tmp_path, False, 1.0, 2.0)
     assert f"\n  rig: {rig}\n" in text
 
 
@@ -213,13 +213,15 @@ def test_an_error_of_another_program_is_told_apart_from_the_health_of_the_loop(t
     findings = {"camera_driver": "camera_driver ERROR: no picture"}
     progress = Progress(levels=said, findings=findings, heard=dict.fromkeys(said, 1.0))
     assert judge_health(progress, ["relay_esc"], [], 2.0) == []
-    text = describe_loop(progress, [], {"relay_esc": {}}, tmp_path, False, 1.0)
+    text = describe_loop(progress, [], {"relay_esc": {}}, tmp_path, False, 1.0, 2.0)
     assert "  healthy\n" in text
     assert text.endswith("not of this loop, on /diagnostics: camera_driver ERROR: no picture")
     own = Progress(levels={"relay_esc": 2}, findings={"relay_esc": "relay_esc ERROR: no cost"},
                    heard={"relay_esc": 1.0})  # fmt: skip
     assert judge_health(own, ["relay_esc"], [], 2.0) == ["relay_esc ERROR: no cost"]
-    assert "not of this loop" not in describe_loop(own, [], {"relay_esc": {}}, tmp_path, False, 1.0)
+    assert "not of this loop" not in describe_loop(
+        own, [], {"relay_esc": {}}, tmp_path, False, 1.0, 2.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -253,3 +255,22 @@ def test_a_node_that_ended_is_noted_as_the_failure_or_as_lost(tmp_path):
         told = ended.failure or ended.lost[0][1]
         assert told == f"{role} was killed by signal 9"
         assert bool(ended.lost) == (role == "recorder")
+
+
+def test_what_a_guard_said_long_ago_is_no_health(tmp_path):
+    """Failed before: a loop whose guard stood still for 8 s was healthy, at a theta of then."""
+    nodes = {"koop_guard": {"command": "/b:z"}, "relay_esc": {}}
+    progress = Progress(
+        theta=[0.5], values={"koop_guard": {"status": "following"}},
+        levels=dict.fromkeys(nodes, 0), heard={"koop_guard": 100.0, "relay_esc": 104.0},
+    )  # fmt: skip
+
+    def describe(now):
+        faults = judge_health(progress, nodes, [], now)
+        return describe_loop(progress, faults, nodes, tmp_path, False, 1.0, now)
+
+    assert "  healthy\n  theta = 0.5, guard following\n" in describe(102.0)
+    text = describe(105.0)
+    assert "  not healthy: koop_guard is silent for 5 s\n" in text
+    assert "  theta = 0.5, guard following, 5 s ago\n" in text
+    assert "relay_esc is silent for 11 s" in describe(115.0)

@@ -24,6 +24,10 @@ class HealthSettings(Settings):
     silent: float = parameter(
         10.0, "without a report of a node", unit="s", low=1.0, origin="it reports once a second"
     )
+    guard_silent: float = parameter(
+        3.0, "the same of the guard, on whose commands the rig depends", unit="s", low=1.0,
+        origin="it reports once a second; its twin ends one that stood still for 8 s",
+    )  # fmt: skip
 
 
 HEALTH = HealthSettings()
@@ -45,8 +49,8 @@ def judge_health(
     """
     faults = [f"{node} has ended" for node in lost]
     for node in nodes:
-        if node not in lost and now - progress.heard.get(node, -math.inf) > HEALTH.silent:
-            faults.append(f"{node} is silent")
+        if node not in lost and (age := _old(progress, node, now)):
+            faults.append(f"{node} is silent" + f" for {age:.0f} s" * math.isfinite(age))
     guard = progress.values.get("koop_guard", {})
     for node, text in progress.told.items():
         if node not in nodes:  # of others, as of the rig's own driver
@@ -57,6 +61,12 @@ def judge_health(
     return faults
 
 
+def _old(progress: Progress, node: str, now: float) -> float:
+    """Return the age of the last report of a node [s] if that is too old; else 0."""
+    age = now - progress.heard.get(node, -math.inf)
+    return age if age > (HEALTH.guard_silent if node == "koop_guard" else HEALTH.silent) else 0.0
+
+
 def describe_loop(
     progress: Progress,
     faults: Collection[str],
@@ -64,6 +74,7 @@ def describe_loop(
     folder: Path,
     recorded: bool,
     running: float,
+    now: float,
 ) -> str:
     """Return the status of a loop: health, theta, rig, folder, recording and time.
 
@@ -77,6 +88,8 @@ def describe_loop(
         Whether its recorder runs.
     running : float
         Time since its start [s].
+    now : float
+        Steady time [s].
     """
     guard = values.get("koop_guard")
     status = progress.values.get("koop_guard", {}).get("status", "not heard yet")
@@ -86,6 +99,9 @@ def describe_loop(
     elif "vdp_plant" in values:
         rig = "the simulated plant"
     theta = format_knobs(progress.theta)
+    teller = "koop_guard" if guard is not None else "relay_esc"
+    age = _old(progress, "vdp_plant" if "vdp_plant" in values else teller, now)
+    was = f", {age:.0f} s ago" * (0.0 < age < math.inf)
     others = [
         text for node, text in progress.told.items()
         if node not in values and progress.levels[node] > WARN
@@ -98,7 +114,8 @@ def describe_loop(
         [
             "  " + ("not healthy: " + "; ".join(faults) if faults else "healthy"),
             ("  theta is not commanded yet" if status == "waiting" else f"  theta = {theta}")
-            + f", guard {status}" * (guard is not None),
+            + f", guard {status}" * (guard is not None)
+            + was,
             f"  rig: {rig}",
             f"  run: {folder.resolve()}, "
             + (f"recording, {size / 1e6:.1f} MB" if recorded else "not recording"),

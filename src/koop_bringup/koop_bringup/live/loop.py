@@ -218,7 +218,7 @@ class LiveNodes:
         faults = judge_health(progress, self._values, self.lost, now)
         recorded = "recorder" in self._values and "recorder" not in self.lost
         text = describe_loop(
-            progress, faults, self._values, self.folder, recorded, now - self._begun
+            progress, faults, self._values, self.folder, recorded, now - self._begun, now
         )
         places = [str(path.resolve()) for path in (self.folder, self.file) if path is not None]
         guarded = "koop_guard" in self._values
