@@ -2,12 +2,21 @@
 
 import os
 import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from koop_msgs.msg import GuardState
+from std_srvs.srv import Trigger
 
 from koop_bringup.live.monitor import Progress
 from koop_lab.cli.main import main
+from koop_lab.commands import status
 from koop_lab.commands.up import StatusLine
 from koop_node.client.alone import PREFIX, claimed
+from koop_node.client.client import Client
 from koop_node.client.desk import Desk
+from koop_node.node.qos import KEPT
 
 
 def test_a_node_that_has_not_reported_is_said_to_be_starting(capsys):
@@ -51,20 +60,70 @@ def test_a_warning_that_comes_and_goes_is_not_said_each_time(capsys):
     assert sum("relay_esc ERROR" in line for line in lines) >= 1
 
 
-def test_a_loop_without_a_guard_is_not_rearmed(tmp_path, capsys):
-    answer = {"healthy": True, "text": "", "places": [str(tmp_path)], "guarded": False}
+@contextmanager
+def loop(folder, domain="99", **answer):
+    """Be a loop that answers ``koop status``."""
+    answer = {"healthy": True, "text": "", "places": [str(folder)], **answer}
     over = threading.Event()
-    with claimed(f"{PREFIX}99/test{os.getpid()}") as (_, place):
+    with claimed(f"{PREFIX}{domain}/test{os.getpid()}") as (_, place):
         desk = Desk(place)
 
         def serve():
             while not over.is_set():
                 desk.answer(lambda: answer)
+                time.sleep(0.01)
 
         thread = threading.Thread(target=serve)
         thread.start()
-        code = main(["status", str(tmp_path), "--rearm"])
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_a_loop_without_a_guard_is_not_rearmed(tmp_path, capsys):
+    with loop(tmp_path, guarded=False):
+        assert main(["status", str(tmp_path), "--rearm"]) == 2
+    assert "has no guard that could be rearmed" in capsys.readouterr().err
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("after", [0.5, None])
+def test_a_rearm_has_happened_once_the_guard_says_so(tmp_path, monkeypatch, capfd, after):
+    """Failed before: "rearmed", and 0, where the guard still waited for its controller."""
+    if after is None:
+        monkeypatch.setattr(status, "REARMED", 2.0)
+    called, over = [], threading.Event()
+
+    def rearm(request, response):
+        called.append(time.monotonic())
+        response.success, response.message = True, "the controller begins again"
+        return response
+
+    def guard():
+        with Client("koop_guard", namespace=f"/test{os.getpid()}") as client:
+            state = client.node.create_publisher(GuardState, "~/state", KEPT)
+            client.node.create_service(Trigger, "~/rearm", rearm)
+            state.publish(GuardState(status=GuardState.TRIPPED, reason="x = 9 is beyond 8"))
+            while not over.is_set():
+                client.spin(0.05)
+                if after is not None and called and time.monotonic() > called[0] + after:
+                    state.publish(GuardState(status=GuardState.FOLLOWING))
+
+    thread = threading.Thread(target=guard)
+    thread.start()
+    try:
+        with loop(tmp_path, os.environ["ROS_DOMAIN_ID"], guarded=True):
+            code = main(["status", str(tmp_path), "--rearm"])
+        waited = time.monotonic() - called[0]
+    finally:
         over.set()
         thread.join()
-    assert code == 2
-    assert "has no guard that could be rearmed" in capsys.readouterr().err
+    said, error = capfd.readouterr()
+    if after is None:
+        assert code == 2
+        assert "the guard is still tripped: x = 9 is beyond 8; it rearms when" in error
+    else:
+        assert (code, waited > after) == (0, True)
+        assert "rearmed, the controller begins again" in said

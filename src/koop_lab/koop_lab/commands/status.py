@@ -14,6 +14,7 @@ from koop_node.client.client import Client
 from koop_node.client.desk import STATUS, STOP, ask, find_loops
 from koop_tune.folder import find_controller
 
+REARMED = 20.0  # [s] for the guard to say that it has rearmed
 NONE = 3  # exit code where no loop runs, as of services (LSB)
 
 
@@ -85,14 +86,35 @@ def _stop(name: str) -> int:
 
 
 def _rearm(name: str) -> int:
-    """Call the guard's service as ``ros2 service call`` would: the wheels have no ``ros2``."""
+    """Call the guard's service, and wait until it says that it is no longer tripped.
+
+    It rearms once the controller has answered that it begins again, which one that starts does not.
+    """
+    from koop_msgs.msg import GuardState
     from std_srvs.srv import Trigger
 
+    from koop_node.node.qos import KEPT
+
     domain, namespace = _place(name)
+    guard, states = f"{namespace}/koop_guard", list[GuardState]()
     with Client("_koop_status", domain) as client:
-        answer = client.call(Trigger, f"{namespace}/koop_guard/rearm", Trigger.Request())
-    if not answer.success:
-        raise LiveError(f"{_describe(name)}: {answer.message}")
+        client.node.create_subscription(GuardState, f"{guard}/state", states.append, KEPT)
+        answer = client.call(Trigger, f"{guard}/rearm", Trigger.Request())
+        if not answer.success:
+            raise LiveError(f"{_describe(name)}: {answer.message}")
+
+        def follows() -> bool:
+            return bool(states) and states[-1].status == GuardState.FOLLOWING
+
+        if not client.spin_until(follows, REARMED):
+            now = "is not heard"
+            if states:
+                why = [states[-1].reason, *filter(None, [states[-1].rearm_refused])]
+                now = f"is still tripped: {'; '.join(why)}"
+            raise LiveError(
+                f"{_describe(name)}: asked to rearm, but after {REARMED:g} s the guard {now}; it "
+                "rearms when the controller has answered that it begins again: ask koop status"
+            )
     print(f"{_describe(name)}: rearmed, {answer.message}")
     return 0
 
