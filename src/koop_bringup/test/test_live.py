@@ -18,6 +18,7 @@ from koop_bringup.live.process import NodeProcess
 from koop_bringup.plan import Plan
 from koop_core.ended import Ended, read_end
 from koop_core.errors import LiveError
+from koop_guard.note import STOOD_STILL
 
 # Ends when it is told to, and until then lets its parent be told once more.
 ENDS_LATE = """
@@ -79,6 +80,17 @@ def test_what_a_killed_node_said_long_before_is_not_its_reason(tmp_path):
     node.process.kill()
     node.process.wait()
     assert str(node.failure()) == f"node was killed by signal 9 ({tmp_path / 'node.log'})"
+
+
+def test_a_guard_that_its_twin_ended_was_not_just_killed(tmp_path):
+    """Failed before: "killed by signal 9", as by anybody."""
+    words = f"print('{STOOD_STILL} 8 s: its twin ended it', flush=True); os.kill(os.getpid(), 9)"
+    log = tmp_path / "guard.log"
+    guard = NodeProcess("koop_guard", [f"import os; {words}"], log, [sys.executable, "-c"])
+    guard.process.wait()
+    how = "koop_guard was killed by signal 9: the guard stood still for 8 s: its twin ended it"
+    assert guard.end() == how
+    assert str(guard.failure()) == f"{how} ({log})"
 
 
 @pytest.mark.ros

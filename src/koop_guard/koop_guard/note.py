@@ -18,6 +18,7 @@ from koop_guard.config import RigLimits
 from koop_guard.guard import Trip
 
 THETA_LEFT = "theta is left at"  # begins the last words of guard and twin
+STOOD_STILL = "the guard stood still for"  # begins the words of a twin that ended its guard
 NOT_NOTED = "where theta is cannot be noted, a restart would not know it"
 TWIN = "koop_guard_twin/"  # begins the name that a twin holds; its guard's process ends it
 PERIOD = 1.0  # [s] between two notes while nothing trips

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.errors import LiveError
+from koop_guard.note import STOOD_STILL
 from koop_loop.ending import describe_end
 from koop_loop.parameters import CONTAINER, EXECUTABLES
 from koop_node.process.lifeline import OWN_GROUP, TIED, deferred_signals
@@ -166,7 +167,11 @@ class NodeProcess:
     def end(self) -> str:
         """Return how the process ended, in words."""
         code = self.process.poll()
-        return f"{self.node} has not ended" if code is None else describe_end(self.node, code)
+        if code is None:
+            return f"{self.node} has not ended"
+        lines = self.last_lines(20).splitlines() if code == -signal.SIGKILL else []
+        still = [line for line in lines if line.startswith(STOOD_STILL)]
+        return ": ".join([describe_end(self.node, code), *still[:1]])
 
     def failure(self) -> LiveError:
         """Return the error that says how the process ended, with its last words."""

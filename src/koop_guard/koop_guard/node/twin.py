@@ -27,7 +27,7 @@ from koop_core.config.knobs import MOST
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard
 from koop_guard.node.memory_file import open_memory_file
-from koop_guard.note import NOT_NOTED, TWIN, Note, leave, read
+from koop_guard.note import NOT_NOTED, STOOD_STILL, TWIN, Note, leave, read
 from koop_node.client.alone import claimed
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
 
@@ -130,11 +130,18 @@ def main(descriptor: int) -> int:
         order = json.loads(line)
         shared.ready = True
         still = Stillness()
-        while not _has_ended(guard_id, shared, still):
+        why = "the guard was killed"
+        while not _has_ended():
             client.spin(0.0)  # what was discovered
+            _, alive, commanded, _ = shared.read()
+            if still.look(alive, commanded) > SAFETY.stopped:
+                why = f"{STOOD_STILL} {SAFETY.stopped:g} s: its twin ended it"
+                print(why, flush=True)  # first: who waits for the guard's end looks for it
+                with suppress(ProcessLookupError):
+                    os.kill(guard_id, signal.SIGKILL)
         theta, _, commanded, last = shared.read()
         if commanded:
-            _take_over(client, order, theta, last)
+            _take_over(client, order, theta, last, why)
     return 0
 
 
@@ -154,22 +161,15 @@ class Stillness:
         return self._looks * LOOK
 
 
-def _has_ended(guard_id: int, shared: SharedTheta, still: Stillness) -> bool:
-    """Wait a moment for the end of the guard; kill one that has stopped."""
-    if select.select([sys.stdin], [], [], LOOK)[0]:
-        return not os.read(0, 1024)
-    _, alive, commanded, _ = shared.read()
-    if still.look(alive, commanded) > SAFETY.stopped:
-        with suppress(ProcessLookupError):
-            os.kill(guard_id, signal.SIGKILL)
-        print(f"the guard stood still for {SAFETY.stopped:g} s: its twin ended it", flush=True)
-    return False
+def _has_ended() -> bool:
+    """Wait a moment for the end of the guard."""
+    return bool(select.select([sys.stdin], [], [], LOOK)[0]) and not os.read(0, 1024)
 
 
 def _take_over(
-    client: Any, order: dict[str, Any], theta: Sequence[float], last: tuple[int, float]
+    client: Any, order: dict[str, Any], theta: Sequence[float], last: tuple[int, float], why: str
 ) -> None:
-    """Return theta to theta_safe, as long as the rig is there."""
+    """Return theta to theta_safe, as long as the rig is there; ``why`` the guard does not."""
     from koop_guard.node.alarm import Alarm
     from koop_guard.node.wire import Command, describe_theta, return_to_safe
 
@@ -178,7 +178,7 @@ def _take_over(
     sources = [source._replace(topic=topic) for source, topic in topics]
     command = Command(client.node.create_publisher, sources, order["kinds"])
     guard = Guard(config, theta)
-    guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
+    guard.note(Cause.ENDED, why, time.monotonic())
     alarm = Alarm(config, print)
     assert guard.trip is not None
     alarm.start(guard.trip, "the guard's twin")
@@ -189,4 +189,4 @@ def _take_over(
     note = replace(note, theta=guard.theta, publishers=tuple(order["publishers"]))
     if failure := leave(config.note, note):
         print(f"{NOT_NOTED}: {failure}", flush=True)
-    print(f"the guard was killed; {describe_theta(guard, config)}", flush=True)
+    print(f"{why}; {describe_theta(guard, config)}", flush=True)
