@@ -560,7 +560,7 @@ def test_a_loop_goes_on_where_its_controller_was_killed(
     wait(has_moved, "what the controller goes on from", process)
     os.kill(nodes["esc"], signal.SIGKILL)
     check_end(process, nodes, fast_rig, tmp_path / "run", 2)
-    check_alarm(facts, "the loop ends|the controller is", fast_rig)
+    check_alarm(facts, "relay_esc was killed by signal 9|the controller is", fast_rig)
     theta, epsilon, *_ = read_json(file)["begin"]
     assert theta != initial
     facts.unlink()
@@ -578,7 +578,7 @@ def test_a_loop_goes_on_where_its_controller_was_killed(
     nodes = nodes_of(process)
     process.kill()
     check_end(process, nodes, fast_rig, tmp_path / "again", -signal.SIGKILL)
-    check_alarm(facts, "the loop ends|the controller is", fast_rig)
+    check_alarm(facts, "the process that started the loop was killed|the controller is", fast_rig)
     with BagReader(tmp_path / "again" / "bag") as bag:  # the recorder was there before the answers
         first = read_columns(bag, "/theta", ["theta[0]", "epsilon"])
     assert (first["theta[0]"][0], first["epsilon"][0]) == (theta, epsilon)

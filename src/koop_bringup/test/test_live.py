@@ -286,3 +286,65 @@ def test_what_a_guard_said_long_ago_is_no_health(tmp_path):
     assert "  not healthy: koop_guard is silent for 5 s\n" in text
     assert "  theta = 0.5, guard following, 5 s ago\n" in text
     assert "relay_esc is silent for 11 s" in describe(115.0)
+
+
+# Says, when its lifeline ends it, why the loop ends.
+ASKS = """
+import signal, sys, time
+from koop_core.ended import Told
+from koop_node.process.lifeline import end_with_parent
+told = Told()
+def on_signal(number, frame):
+    time.sleep(0.2)
+    print(told.why(), flush=True)
+    sys.exit(0)
+signal.signal(signal.SIGTERM, on_signal)
+end_with_parent()
+print("started", flush=True)
+while True:
+    time.sleep(0.05)
+"""
+LOOP = """
+import os, sys, time
+from pathlib import Path
+from koop_bringup.live.loop import LiveNodes
+from koop_bringup.live.process import NodeProcess
+from koop_bringup.plan import Plan
+from koop_core.errors import LiveError
+folder, how, program = Path(sys.argv[1]), sys.argv[2], sys.argv[3]
+with LiveNodes(folder, Plan({})) as run:
+    python = [sys.executable, "-c"]
+    node = NodeProcess("node", [program], folder / "node.log", python, run._environment)
+    run._nodes["koop_guard"] = node
+    while node.last_lines() != "started":
+        time.sleep(0.01)
+    if how == "killed":
+        os.kill(os.getpid(), 9)
+    if how == "failed":
+        dies = "import os; os.kill(os.getpid(), 9)"
+        dead = NodeProcess("relay_esc", [dies], folder / "dead.log", python)
+        dead.process.wait()
+        run._nodes["relay_esc"] = dead
+        run._done()
+    raise {"broken": LiveError("no room"), "ended": KeyboardInterrupt()}[how]
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ("failed", "relay_esc was killed by signal 9"),
+        ("killed", "the process that started the loop was killed"),
+        ("broken", "no room"),
+        ("ended", "the loop ends"),
+    ],
+)
+def test_a_guard_is_told_why_the_loop_ends(tmp_path, how, why):
+    """Failed before: an alarm said "the loop ends", whatever had died."""
+    words = [sys.executable, "-c", LOOP, str(tmp_path), how, ASKS]
+    subprocess.run(words, stderr=subprocess.DEVNULL, timeout=60.0, check=False)
+    log, deadline = tmp_path / "node.log", time.monotonic() + 30.0
+    while log.read_text() == "started\n" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert log.read_text() == f"started\n{why}\n"

@@ -22,9 +22,10 @@ from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, 
 from koop_bringup.live.turns import take_turns
 from koop_bringup.plan import Plan, return_time
 from koop_core.config import parameter_file
-from koop_core.ended import Ended, note_end
+from koop_core.ended import IN_ORDER, PATH, Ended, note_end
 from koop_core.errors import LiveError
 from koop_core.journal import make_journal
+from koop_guard.node.memory_file import open_memory_file
 from koop_guard.note import THETA_LEFT, TWIN
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import LoopParameters
@@ -68,6 +69,8 @@ class LiveNodes:
         """Where theta of the rig is, once the guard has ended."""
         self._ended = Ended()
         """What the logs note of the end."""
+        self._told = -1
+        """Descriptor of where the nodes find why the loop ends."""
         self._begun = time.monotonic()
         self._manager = ServiceManager()
         self._place: socket.socket | None = None
@@ -83,6 +86,9 @@ class LiveNodes:
             stack.callback(self._close_desk)
             logs = self.folder / "logs"
             logs.mkdir(parents=True, exist_ok=True)
+            with suppress(OSError):
+                self._told = stack.enter_context(open_memory_file("koop_ended")).fileno()
+                self._environment[PATH] = f"/proc/{os.getpid()}/fd/{self._told}"
             self._note_end(self._ended)
             file = logs / "given_parameters.yaml"
             parameter_file.write(self._values, file)
@@ -108,11 +114,13 @@ class LiveNodes:
         return self
 
     def __exit__(self, kind: object, error: object, where: object) -> None:
-        self._stack.close()
-        ended = replace(self._ended, time=self._ended.time or time.time(), theta=self._theta_left)
+        ended = replace(self._ended, time=self._ended.time or time.time())
         if not ended.failure and isinstance(error, Exception):  # Ctrl-C is none
             ended = replace(ended, failure=str(error))
         self._note_end(ended)
+        self._stack.close()
+        self._told = -1
+        self._note_end(replace(self._ended, theta=self._theta_left))
 
     @uninterrupted()
     def _stop_all(self, to_guard: int = signal.SIGTERM) -> dict[str, int]:
@@ -271,6 +279,8 @@ class LiveNodes:
     def _note_end(self, ended: Ended) -> None:
         """Let the logs tell how the loop ended, so far."""
         self._ended = ended
+        if self._told >= 0 and ended.time:
+            os.pwrite(self._told, (ended.failure or IN_ORDER).encode(), 0)
         with suppress(LiveError):  # a full disk ends no loop
             note_end(self.folder / "logs", ended)
 

@@ -14,6 +14,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from koop_core.config.knobs import format_knobs
+from koop_core.ended import IN_ORDER, Told
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import GHOST
@@ -76,6 +77,7 @@ class GuardRun(Run):
         self._latched: Trip | None = None  # what the guard before this one has left
         self._dated: tuple[Trip | None, float] = None, 0.0
         self._keeper: Keeper | None = None
+        self._told: Told | None = None  # why the loop ends
         self._state = entities.publisher(GuardState, "~/state", KEPT)
         entities.service(Trigger, "~/trip", self._on_trip)
         entities.service(Trigger, "~/rearm", self._on_rearm)
@@ -143,6 +145,7 @@ class GuardRun(Run):
             entities.timer(LOOK, self._look)
             self._look()
 
+        self._told = Told()
         self._twin = Twin()  # its start takes the longest
         command()
 
@@ -151,7 +154,7 @@ class GuardRun(Run):
         if not self._commands or self._holds_at_end(number):
             return True
         now = time.monotonic()
-        self._guard.note(Cause.ENDED, "the loop ends", now)
+        self._guard.note(Cause.ENDED, self._told.why() if self._told else IN_ORDER, now)
         if self._return is None:
             assert self._command is not None
             self._return = Return(self._guard, self._command)
@@ -177,7 +180,11 @@ class GuardRun(Run):
             self._twin.release(guard.theta)
         if self._controller is not None:
             self._node.destroy_client(self._controller)
-        self._twin = self._command = self._controller = self._answer = self._keeper = None
+        if self._told is not None:
+            self._told.close()
+        self._told = self._twin = self._command = self._controller = self._answer = self._keeper = (
+            None
+        )
         self._latched = self._rearming = None  # the note knows, the next time
         self._to_target, self._target, self._target_heard = False, (), math.inf
 
