@@ -307,12 +307,18 @@ def _check(
 
 def return_time(values: Mapping[str, Mapping[str, Any]]) -> float:
     """Return how long the guard may take to return theta at its end [s]; 0 without one."""
+    config = guard_config(values)
+    return 0.0 if config is None else config.longest_return
+
+
+def guard_config(values: Mapping[str, Mapping[str, Any]]) -> GuardConfig | None:
+    """Return the configuration of the guard; None without one."""
     if "koop_guard" not in values:
-        return 0.0
+        return None
     guard = {"koop_guard": _node_values(values["koop_guard"])}
     config = build(guard, GUARD)["koop_guard"][GuardConfig]
     assert isinstance(config, GuardConfig)
-    return config.longest_return
+    return config
 
 
 def _node_values(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -72,6 +72,30 @@ def test_a_node_that_hung_as_it_left_the_domain_has_done_its_work(tmp_path):
     assert node.poll() == -signal.SIGALRM
 
 
+def test_a_recorder_that_was_lost_is_an_alarm(tmp_path):
+    """Failed before: a line on a terminal, at which nobody may look."""
+    (tmp_path / "logs").mkdir()
+    facts = tmp_path / "facts"
+    guard = {"command": "/b:z", "on_alarm": f"sh -c 'env > {facts}.new; mv {facts}.new {facts}'"}
+    run = LiveNodes(tmp_path, Plan({"koop_guard": guard, "recorder": {}}, rig=True))
+    dies = "import os; os.kill(os.getpid(), 9)"
+    node = NodeProcess("recorder", [dies], tmp_path / "log", [sys.executable, "-c"])
+    run._nodes["recorder"] = node
+    node.process.wait()
+    assert not run._done()
+    assert not run._done()  # once
+    (alarm,) = run._alarms
+    deadline = time.monotonic() + 30.0
+    while alarm._running and time.monotonic() < deadline:
+        alarm.check()
+        time.sleep(0.05)
+    told = facts.read_text()
+    reason = "recorder was killed by signal 9: the loop goes on without it"
+    assert f"KOOP_ALARM_REASON={reason}\n" in told
+    assert "KOOP_ALARM_NODE=recorder\n" in told
+    assert len(run.notes) == 1
+
+
 def test_what_a_killed_node_said_long_before_is_not_its_reason(tmp_path):
     """Failed before: warnings that were over stood behind "was killed by signal 9:"."""
     node = NodeProcess("node", [FOREIGN], tmp_path / "node.log", [sys.executable, "-c"])

@@ -20,11 +20,13 @@ from koop_bringup.live.monitor import Monitor, Progress
 from koop_bringup.live.notify import ServiceManager
 from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, uninterrupted
 from koop_bringup.live.turns import take_turns
-from koop_bringup.plan import Plan, return_time
+from koop_bringup.plan import Plan, guard_config, return_time
 from koop_core.config import parameter_file
 from koop_core.ended import IN_ORDER, PATH, Ended, note_end
 from koop_core.errors import LiveError
 from koop_core.journal import make_journal
+from koop_guard.guard import Cause, Trip
+from koop_guard.node.alarm import Alarm
 from koop_guard.node.memory_file import open_memory_file
 from koop_guard.note import THETA_LEFT, TWIN
 from koop_loop.ending import Ending, ending
@@ -71,6 +73,7 @@ class LiveNodes:
         """What the logs note of the end."""
         self._told = -1
         """Descriptor of where the nodes find why the loop ends."""
+        self._alarms: list[Alarm] = []  # that run
         self._begun = time.monotonic()
         self._manager = ServiceManager()
         self._place: socket.socket | None = None
@@ -182,6 +185,8 @@ class LiveNodes:
         with Monitor(self._namespace) as monitor:
             while not self._done():
                 monitor.spin(0.05)
+                for alarm in self._alarms:
+                    alarm.check()
                 on_progress(monitor.progress)
                 self._report(monitor.progress)
                 self.answer(partial(self._describe, monitor.progress))
@@ -274,7 +279,17 @@ class LiveNodes:
             lost = (*self._ended.lost, (time.time(), process.end()))
             self._note_end(replace(self._ended, lost=lost))
             self._note(f"{process.failure()}\nthe loop goes on without it")
+            self._sound(node, process.end())
         return False
+
+    def _sound(self, node: str, how: str) -> None:
+        """Run the rig's alarm for a node without which the loop goes on: nobody may look."""
+        config = guard_config(self._values)
+        if config is not None:
+            alarm = Alarm(config, self._note)
+            text = f"{how}: the loop goes on without it"
+            alarm.start(Trip(Cause.ENDED, text, time.monotonic(), (), ()), node)
+            self._alarms.append(alarm)
 
     def _note_end(self, ended: Ended) -> None:
         """Let the logs tell how the loop ended, so far."""
