@@ -235,7 +235,9 @@ class LiveNodes:
         )
         places = [str(path.resolve()) for path in (self.folder, self.file) if path is not None]
         guarded = "koop_guard" in self._values
-        return {"healthy": not faults, "text": text, "places": places, "guarded": guarded}
+        guard = progress.values.get("koop_guard", {}).get("status", "")
+        state = {"guarded": guarded, "guard": guard}
+        return {"healthy": not faults, "text": text, "places": places, **state}
 
     def _close_desk(self) -> None:
         if self._desk is not None:

@@ -15,6 +15,7 @@ from koop_node.client.desk import STATUS, STOP, ask, find_loops
 from koop_tune.folder import find_controller
 
 REARMED = 20.0  # [s] for the guard to say that it has rearmed
+TOLD = 5.0  # [s] for the loop to have heard of it
 NONE = 3  # exit code where no loop runs, as of services (LSB)
 
 
@@ -86,7 +87,7 @@ def _stop(name: str) -> int:
 
 
 def _rearm(name: str) -> int:
-    """Call the guard's service, and wait until it says that it is no longer tripped.
+    """Call the guard's service, and wait until guard and loop say that it is no longer tripped.
 
     It rearms once the controller has answered that it begins again, which one that starts does not.
     """
@@ -115,8 +116,16 @@ def _rearm(name: str) -> int:
                 f"{_describe(name)}: asked to rearm, but after {REARMED:g} s the guard {now}; it "
                 "rearms when the controller has answered that it begins again: ask koop status"
             )
+        client.spin_until(lambda: not _tells_of_trip(name), TOLD)
     print(f"{_describe(name)}: rearmed, {answer.message}")
     return 0
+
+
+def _tells_of_trip(name: str) -> bool:
+    """Return whether the loop still tells of a trip, which it hears of once a second."""
+    with suppress(LiveError):  # one of ros2 launch tells nothing
+        return ask(name, STATUS).get("guard") == "tripped"
+    return False
 
 
 def _places(folder: Path) -> set[str]:
