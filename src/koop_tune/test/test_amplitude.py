@@ -93,23 +93,6 @@ def test_of_a_line_that_beats_with_a_harmonic_it_is_not_known_what_the_rig_makes
     assert (amplitude.floor < 0.05) != beats
 
 
-@pytest.mark.parametrize("follows", [False, True])
-def test_what_is_left_of_a_harmonic_counts_if_it_follows_theta(follows):
-    """Else it may be two lines that beat more slowly than theta rests: each hold meets another."""
-    rng, u = np.random.default_rng(13), np.linspace(0.0, 1.0, 24)
-    sizes, left = 0.1 * np.exp(3.0 * np.abs(u - 0.6)), rng.uniform(0.1, 0.5, u.size)
-    left = np.sort(left) if follows else left
-    holds = [
-        hold(rng, [(2.0, a), (4.0, 0.3 * a), (4.0, b)]) for a, b in zip(sizes, left, strict=True)
-    ]
-    amplitude = choose_amplitude(WINDOWS, holds, places=[(np.array([v]), 1) for v in u])
-    assert weighs_at(amplitude, 0, 2.0)
-    assert weighs_at(amplitude, 0, 4.0) == follows
-    if not follows:
-        assert levels(amplitude, holds) == pytest.approx(sizes / sizes.max(), rel=0.03)
-        assert amplitude.floor < 0.05
-
-
 def test_the_sum_over_the_groups_is_the_variance():
     x = np.random.default_rng(0).normal(0.0, 2.0, (200 * LENGTH, 1))
     # but for the trend and the mean that are taken out: two degrees of freedom of 800

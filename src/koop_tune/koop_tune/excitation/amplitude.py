@@ -74,10 +74,6 @@ class AmplitudeSettings(Settings):
     comes: float = judged(
         0.25, "variance of a log power at one place over that of all holds, left out", low=0.0
     )
-    strays: float = judged(
-        0.5, "variance of a log power between neighbours over that of all, left out", low=0.0
-    )
-    fewest: int = judged(10, "holds before they tell so of what a harmonic leaves", low=2)
     nearly_all: float = judged(
         0.97, "share of what moves that is kept though it comes and goes", low=0.0, high=1.0
     )
@@ -390,7 +386,6 @@ def choose_amplitude(
     if not beside:
         reacts &= ~_is_beside_line(windows, mean, reacts)
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
-    reacts &= ~_is_line_at_harmonic(windows, mean, error, reacts, places)
     background = np.minimum(_beside(windows, density, reacts), most)
     unsure = AMPLITUDE.doubt * background
     for c, g in zip(*np.nonzero(reacts), strict=True):
@@ -471,46 +466,6 @@ def _is_beside_line(windows: Windows, mean: Array, reacts: NDArray[np.bool_]) ->
     return np.asarray(reacts & (strongest > AMPLITUDE.line * mean.max(axis=0)))
 
 
-def _is_line_at_harmonic(
-    windows: Windows, mean: Array, error: Array, reacts: NDArray[np.bool_],
-    places: Sequence[tuple[Array, int]],
-) -> NDArray[np.bool_]:  # fmt: skip
-    """Return whether groups are a harmonic and interference that beats slowly, shape (n, G).
-
-    In that half of the holds in which the fundamental is least its harmonic is gone. What is left
-    there and differs between neighbours as much as over all of them does not follow theta (von
-    Neumann's ratio): two lines, say, whose beat is longer than a hold. A mode of its own follows.
-    """
-    result, at = np.zeros_like(reacts), np.array([[*u, side] for u, side in places])
-    for c, g, beside in _harmonics(windows, mean, reacts):
-        quiet = np.flatnonzero(mean[:, c, g] <= np.median(mean[:, c, g]))
-        if not at.size or quiet.size < AMPLITUDE.fewest:
-            continue
-        level, doubt = np.log(mean[quiet]), error[quiet] ** 2
-        apart = np.abs(at[quiet, None] - at[quiet]).max(axis=2)
-        apart[np.isnan(apart) | np.eye(quiet.size, dtype=bool)] = math.inf
-        nearest = apart.argmin(axis=1)
-        squares = (level - level[nearest]) ** 2 - doubt - doubt[nearest]
-        strays = 0.5 * squares.mean(axis=0) >= AMPLITUDE.strays * level.var(axis=0)
-        result |= reacts & beside & strays
-    return result
-
-
-def _harmonics(
-    windows: Windows, mean: Array, reacts: NDArray[np.bool_]
-) -> list[tuple[int, int, NDArray[np.bool_]]]:
-    """Return channel, group, and groups, shape (G,), that may hold harmonics of each peak."""
-    edges = np.array(windows.edges)
-    first, last = edges[:-1], edges[1:] - 1
-    strongest = (mean * reacts).max(axis=0)
-    peak = strongest >= _strongest_near(strongest)
-    return [
-        (c, g, np.any([(first <= k * (last[g] + 0.5)) & (last >= k * (first[g] - 0.5))
-                       for k in AMPLITUDE.harmonics], axis=0))
-        for c, g in zip(*np.nonzero(reacts & peak), strict=True)
-    ]  # fmt: skip
-
-
 def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[np.bool_]) -> Array:
     """Return the power that may be a line beside a harmonic, shape (n, G): it beats with that.
 
@@ -519,15 +474,21 @@ def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[n
     that theta does not change, alone where the harmonic is gone, and less where it met that out of
     phase. A mode of its own that becomes worse is far less elsewhere.
     """
-    level, result = np.log(mean), np.zeros(reacts.shape)
-    for c, g, beside in _harmonics(windows, mean, reacts):
+    edges = np.array(windows.edges)
+    first, last, level = edges[:-1], edges[1:] - 1, np.log(mean)
+    strongest = (mean * reacts).max(axis=0)
+    peak = strongest >= _strongest_near(strongest)
+    result = np.zeros(reacts.shape)
+    for c, g in zip(*np.nonzero(reacts & peak), strict=True):
         least = int(level[:, c, g].argmin())
         rise, errors = level[:, c] - level[least, c], np.hypot(error[:, c], error[least, c])
         falls = rise[:, g] - errors[:, g] > math.log(AMPLITUDE.falls)
         stronger = (falls[:, None] & (-rise - errors > AMPLITUDE.change)).any(axis=0)
         stronger &= rise.min(axis=0) > -math.log(AMPLITUDE.falls)
-        beats = stronger & beside & reacts[c]  # then in every channel
-        result = np.maximum(result, mean[least] * (reacts & beats))
+        for k in AMPLITUDE.harmonics:
+            beside = (first <= k * (last[g] + 0.5)) & (last >= k * (first[g] - 0.5))
+            beats = stronger & beside & reacts[c]  # then in every channel
+            result = np.maximum(result, mean[least] * (reacts & beats))
     return result
 
 
