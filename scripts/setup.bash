@@ -218,7 +218,7 @@ set_up_venv() {
   rm -f "$VENV_STAMP" "$ENV_FILE"
   if ! venv_is_of_same_origin; then
     rm -f "$WS_STAMP"
-    say "the first call sets up .venv (1.2 GB) and the workspace, which takes about a minute; the first run then compiles for some 20 s"
+    say "the first call sets up .venv (1.2 GB) and the workspace, which takes a minute or two; the first run then compiles for 10 to 50 s"
     local options=(--clear)
     [[ $UNDERLAY == wheels ]] || options+=(--system-site-packages)
     step "Creating .venv with $PYTHON (${PYTHON_HAS%% *})" "$PYTHON" -m venv "${options[@]}" "$VENV"

@@ -85,7 +85,7 @@ def test_proposed_limits_leave_room_also_beside_an_offset():
     ("value", "note", "limits"),
     [
         (0.0, "none proposed: a channel stands still, as one that follows theta", ((), ())),
-        (0.5, "a channel that follows theta needs theta's range", ((-7.0, -1.5), (7.0, 2.0))),
+        (0.5, "a channel that follows theta needs its range", ((-7.0, -1.5), (7.0, 2.0))),
     ],
 )
 def test_no_limits_are_proposed_where_a_channel_stands_still(

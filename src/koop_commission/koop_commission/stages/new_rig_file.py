@@ -212,7 +212,8 @@ class Interview:
             seen += (
                 "; none proposed: a channel stands still, as one that follows theta does at rest"
                 if "none" in proposals
-                else "; a channel that follows theta needs theta's range"
+                else "; at another theta they may swing far wider, and a channel that follows "
+                "theta needs its range"
             )
         for name, word, proposal in zip(
             ("channel_min", "channel_max"), ("least", "largest"), proposals, strict=True
