@@ -357,6 +357,75 @@ def test_a_note_that_cannot_be_written_is_told_before_theta_is_commanded(start, 
     os.close(sealed)
 
 
+RIG_PROGRAM = """
+import random, sys, time, rclpy
+from std_msgs.msg import Float64, Float64MultiArray
+
+rclpy.init()
+node, heard = rclpy.create_node("rig"), open(sys.argv[1], "w", buffering=1)
+node.create_subscription(
+    Float64, "/rig/knob", lambda m: print(time.monotonic(), m.data, file=heard), 10
+)
+publisher = node.create_publisher(Float64MultiArray, "/rig", 10)
+say = lambda: publisher.publish(Float64MultiArray(data=[random.random()]))
+node.create_timer(0.05, say)
+rclpy.spin(node)
+"""
+
+
+def test_a_rig_that_was_restarted_is_commanded_from_theta_start_within_the_rate(
+    start, probe, states, tmp_path
+):
+    """Failed before: what returned to theta_safe without it was its first command, a step."""
+    rigs, rate, begin, safe = [], 0.5, 0.4, 0.8
+    controller = probe.node.create_publisher(ControlInput, "theta", 10)
+    steps = itertools.count(1)
+
+    def until(condition, what):
+        def control():
+            controller.publish(ControlInput(step=next(steps), theta=[0.6]))
+            return condition()
+
+        probe.spin_until(control, what)
+
+    def start_rig():
+        file = tmp_path / f"heard-{len(rigs)}"
+        rigs.append(subprocess.Popen([sys.executable, "-c", RIG_PROGRAM, str(file)]))
+
+        def heard():
+            lines = file.read_text().splitlines() if file.exists() else []
+            return [tuple(map(float, line.split())) for line in lines if line.count(" ") == 1]
+
+        return heard
+
+    try:
+        heard = start_rig()
+        guard = start("koop_guard", measured="/rig:data[0]", command="/rig/knob:data", dt=0.05,
+                      theta_rate=rate, theta_start=begin, theta_safe=safe, theta_min=0.0,
+                      theta_max=1.0, note=tmp_path / "note")  # fmt: skip
+        until(lambda: heard() and heard()[-1][1] == 0.6, "the controller to be followed")
+        for number in (signal.SIGKILL, signal.SIGINT):
+            rigs[-1].send_signal(number)
+            rigs[-1].wait()
+            until(lambda: states[-1].cause == "rig silent" and states[-1].theta[0] == safe, "home")
+            time.sleep(1.0)
+            heard = start_rig()
+            until(lambda: heard() and heard()[-1][1] == safe, "theta_safe again")  # noqa: B023
+            # a step of the guard's may be heard early, the one before it late
+            for (before, a), (now, b) in pairwise([(heard()[0][0], begin), *heard()]):
+                assert 0.0 <= b - a <= rate * (now - before + 0.15)
+        told = f"restarted since theta was at {safe}: assuming theta_start = {begin}"
+        assert guard.log.read_text().count(told) == 2
+        wait(lambda: len(note.read(tmp_path / "note").publishers) == 1, "the note")
+        left = note.read(tmp_path / "note").publishers
+        os.kill(guard.process.pid, signal.SIGKILL)  # its twin notes whose theta it is
+        wait(lambda: "the guard was killed; " in guard.log.read_text(), "its end")
+        assert set(left) <= set(note.read(tmp_path / "note").publishers)
+    finally:
+        for rig in rigs:
+            rig.kill()
+
+
 CLOCK = """
 import rclpy, time
 from rclpy.parameter import Parameter

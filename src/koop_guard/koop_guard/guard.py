@@ -167,6 +167,10 @@ class Guard:
         """Whether theta is at theta_safe for good, until a rearm."""
         return self.status is Status.TRIPPED and self.theta == self.target
 
+    def stand(self, theta: Sequence[float]) -> None:
+        """Move on from a theta at which the rig stands, as it was restarted."""
+        self.theta, self._moved = tuple(theta), math.inf
+
     def hear_state(self, x: Sequence[float], now: float) -> None:
         """Judge a sample of the rig."""
         self._arrived, self.x = now, tuple(x)

@@ -24,13 +24,16 @@ from koop_guard.node.alarm import Alarm
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
 from koop_guard.note import NOT_NOTED, Keeper, Note, find_theta, leave, read
+from koop_guard.presence import Presence
 from koop_node.client.question import Question
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
+from koop_node.node.entities import Input
 from koop_node.node.graph import (
     Listeners,
     full_name,
     identify_publishers,
+    identify_subscribers,
     publishers_of,
     subscribers_of,
 )
@@ -70,7 +73,9 @@ class GuardRun(Run):
         self._command: Command | None = None
         self._twin: Twin | None = None
         self._order: tuple[Any, ...] = ()  # what the twin may have to command
-        self._ids: list[str] = []
+        self._presence: Presence | None = None
+        self._listeners = [0] * len(config.commands)  # of each topic of the command
+        self._measured: Input | None = None
         self._controller: Any = None  # its ~/reset
         self._rearming: tuple[Question, bool] | None = None  # of the controller; by hand?
         self._return: Return | None = None
@@ -96,8 +101,9 @@ class GuardRun(Run):
         def listen(name: str, kinds: Sequence[str]) -> None:
             state = message_type(name, source.fields)
             self._counts_steps = state is MeasuredState
-            self._ids = sorted(identify_publishers(self._node, source.topic))
-            theta, remark = find_theta(config.note, config, self._ids)
+            publishers, subscribers = self._identify()
+            self._presence = Presence(publishers, subscribers, config.period)
+            theta, remark = find_theta(config.note, config, publishers)
             if remark:
                 self._node.get_logger().warning(remark)
             self._guard = Guard(config, theta)
@@ -114,7 +120,8 @@ class GuardRun(Run):
                     self._dated = self._latched, left.trip.when
             self._keeper = Keeper(config.note, self._note)
             topics = [self._node.resolve_topic_name(topic) for topic in self._topics]
-            self._order = (asdict(config), topics, kinds, self._ids)
+            measured = self._node.resolve_topic_name(source.topic)
+            self._order = (asdict(config), topics, kinds, measured)
             assert self._twin is not None
             self._twin.prepare(*self._order)
             entities.waiting_for = "waiting for its twin"
@@ -131,7 +138,7 @@ class GuardRun(Run):
             if config.bounded is not None:
                 entities.reader(Cost, "cost", self._on_cost, BEST_EFFORT)
             qos = RELIABLE if self._counts_steps else BEST_EFFORT
-            entities.dated_subscription(state, source.topic, self._on_state, qos)
+            self._measured = entities.dated_subscription(state, source.topic, self._on_state, qos)
             rig = {publisher: Listeners(next="any") for publisher in self._command.publishers}
             entities.when_heard(rig, lambda: follow())
 
@@ -185,6 +192,7 @@ class GuardRun(Run):
         self._told = self._twin = self._command = self._controller = self._answer = self._keeper = (
             None
         )
+        self._presence = self._measured = None
         self._latched = self._rearming = None  # the note knows, the next time
         self._to_target, self._target, self._target_heard = False, (), math.inf
 
@@ -208,7 +216,8 @@ class GuardRun(Run):
         if trip is not None:
             ended = trip.cause is Cause.ENDED
             trip = None if ended else replace(trip, when=self._date(trip))
-        return Note(guard.theta, config.command, tuple(self._ids), trip, guard.rearmed)
+        publishers = self._presence.publishers if self._presence is not None else ()
+        return Note(guard.theta, config.command, publishers, trip, guard.rearmed)
 
     def _date(self, trip: Trip) -> float:
         """Return the system time of a trip [s], as the clock was then: it may be set later."""
@@ -251,6 +260,7 @@ class GuardRun(Run):
 
     def _on_state(self, message: Any, written: float) -> None:
         now = time.monotonic()
+        self._tell_rig(now)
         step, x = self._adapter.convert(message)
         if self._counts_steps:
             step = message.step
@@ -305,7 +315,7 @@ class GuardRun(Run):
             self._node.get_logger().warning("the loop had tripped: it stays so until ~/rearm")
             self._guard.latch(self._latched)
         self._guard.hear_answer(answer.theta, answer.saturated, now, old)
-        if self._guard.status is Status.FOLLOWING and not old:
+        if self._guard.status is Status.FOLLOWING and not old and not self._is_held(now):
             self._to_target = False
             self._command.pass_on(answer, self._advance(now))
             if self._answer is not None and answer.step > self._answered:
@@ -320,6 +330,7 @@ class GuardRun(Run):
     def _on_tick(self) -> None:
         now, guard = time.monotonic(), self._guard
         self._alarm.check()
+        self._is_held(now)  # who has joined is looked at
         guard.hear_time(now)
         if now - self._target_heard > SAFETY.hang:
             text = f"the command that set a target gave no sign of life for {SAFETY.hang:g} s"
@@ -345,6 +356,7 @@ class GuardRun(Run):
         """Look at the graph for other publishers, and at the twin."""
         now, guard, node = time.monotonic(), self._guard, self._node
         self._renew_twin()
+        self._look_at_rig(now)
         config = self._config
         controllers = publishers_of(node, config.asked)
         if guard.status is not Status.WAITING:
@@ -369,6 +381,55 @@ class GuardRun(Run):
         if len(controllers) == 1 and full_name(controllers[0]).startswith("/"):  # its name is known
             self._find_reset(f"{full_name(controllers[0])}/reset")
         self._announce()
+
+    def _identify(self) -> tuple[set[str], list[set[str]]]:
+        """Return the ids of who publishes what is measured, and of who takes each command."""
+        takers = [identify_subscribers(self._node, topic) for topic in self._topics]
+        return identify_publishers(self._node, self._config.source.topic), takers
+
+    def _tell_rig(self, now: float) -> None:
+        """Tell by a message of the measured channels whether the rig lives or was restarted."""
+        if self._presence is None or self._measured is None:
+            return
+        number = self._measured.number
+        if not self._presence.continues(number):
+            self._look_at_rig(now)
+        self._presence.hear(number, now)
+        if self._presence.is_doubtful:
+            self._look_at_rig(now)
+
+    def _is_held(self, now: float) -> bool:
+        """Return whether nothing is commanded, as it is not known whether the rig was restarted.
+
+        In lockstep it refuses what does not answer its step.
+        """
+        if self._presence is None or self._command is None:
+            return False
+        before = self._listeners
+        self._listeners = [p.get_subscription_count() for p in self._command.publishers]
+        if any(a < b for a, b in zip(before, self._listeners, strict=True)):
+            self._presence.doubt(now)
+        if self._presence.is_doubtful:
+            self._look_at_rig(now)
+        return self._presence.is_held(now) and not self._lockstep
+
+    def _look_at_rig(self, now: float) -> None:
+        """Go on from theta_start where the rig was restarted."""
+        if self._presence is None or not (again := self._presence.see(*self._identify(), now)):
+            return
+        theta, start = list(self._guard.theta), self._config.each("theta_start")
+        topics = [i for i, source in enumerate(self._config.commands) for _ in source.fields]
+        knobs = [knob for knob, topic in enumerate(topics) if topic in again]
+        left, stands = ([values[i] for i in knobs] for values in (theta, start))
+        for i in knobs:
+            theta[i] = start[i]
+        self._guard.stand(theta)
+        named = [self._config.knob_names[i] for i in knobs]
+        which = f" ({', '.join(named)})" if len(knobs) < len(theta) else ""
+        self._node.get_logger().warning(
+            f"the rig was restarted since theta was at {format_knobs(left)}{which}: "
+            f"assuming theta_start = {format_knobs(stands)}"
+        )
 
     def _renew_twin(self) -> None:
         """Start another twin where it has ended, or hangs at its start."""
@@ -408,7 +469,7 @@ class GuardRun(Run):
         return theta
 
     def _say(self, now: float) -> None:
-        if self._command is not None:
+        if self._command is not None and not self._is_held(now):
             self._command.say(self._advance(now), self._last[0], self._header)
 
     def _news(self) -> object:

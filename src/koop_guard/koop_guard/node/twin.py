@@ -91,13 +91,13 @@ class Twin:
         return not self.shared.ready and now - self._begun > SAFETY.first
 
     def prepare(
-        self, config: dict[str, Any], topics: list[str], kinds: Sequence[str], publishers: list[str]
+        self, config: dict[str, Any], topics: list[str], kinds: Sequence[str], measured: str
     ) -> None:
         """Say what it may have to command: full names and message types of the command.
 
-        ``config`` has the values of the guard's, ``publishers`` the ids of the rig's, for the note.
+        ``config`` has the values of the guard's, ``measured`` is the topic of the rig's channels.
         """
-        order = {"config": config, "topics": topics, "kinds": kinds, "publishers": publishers}
+        order = {"config": config, "topics": topics, "kinds": kinds, "measured": measured}
         with suppress(OSError):
             assert self.process.stdin is not None
             self.process.stdin.write(json.dumps(order).encode() + b"\n")
@@ -172,6 +172,7 @@ def _take_over(
     """Return theta to theta_safe, as long as the rig is there; ``why`` the guard does not."""
     from koop_guard.node.alarm import Alarm
     from koop_guard.node.wire import Command, describe_theta, return_to_safe
+    from koop_node.node.graph import identify_publishers
 
     config = GuardConfig(**order["config"])
     topics = zip(config.commands, order["topics"], strict=True)
@@ -186,7 +187,8 @@ def _take_over(
     alarm.check()
     # with the trip that it may hold
     note = read(config.note) or Note(guard.theta, config.command, (), None, 0)
-    note = replace(note, theta=guard.theta, publishers=tuple(order["publishers"]))
+    publishers = identify_publishers(client.node, order["measured"]) or note.publishers
+    note = replace(note, theta=guard.theta, publishers=tuple(sorted(publishers)))
     if failure := leave(config.note, note):
         print(f"{NOT_NOTED}: {failure}", flush=True)
     print(f"{why}; {describe_theta(guard, config)}", flush=True)

@@ -92,6 +92,8 @@ class Input:
     ) -> None:
         self._node, self._kind, self._deliver = node, kind, deliver
         self._make = partial(node.create_subscription, kind, topic, deliver, raw=raw)
+        self.number = 0
+        """Of the newest message, as its publisher counts them; 0 where DDS does not give it."""
         self.subscription: Subscription = self._make(qos)
         self.match(publishers_of(node, self.subscription.topic_name))
 
@@ -204,12 +206,12 @@ class Entities:
 
     def dated_subscription(
         self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
-    ) -> None:
+    ) -> Input:
         """Listen to messages with a callback that also gets when a message was written.
 
         That is a time on the clock of the writer's host [s], which every DDS sends along.
         """
-        self._input(kind, topic, callback, qos, False)
+        return self._input(kind, topic, callback, qos, False)
 
     def _input(
         self,
@@ -223,6 +225,7 @@ class Entities:
             # the EventsExecutor of rclpy 7.1 gives message and info as one tuple
             message, info = arguments if len(arguments) == 2 else arguments[0]
             if self._open:
+                made.number = info.get("publication_sequence_number") or 0
                 callback(message, info["source_timestamp"] * 1e-9)
 
         deliver.__signature__ = _TWO  # type: ignore[attr-defined]  # what rclpy goes by

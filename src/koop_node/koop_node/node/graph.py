@@ -74,7 +74,12 @@ def publishers_of(node: Node, topic: str) -> list[Any]:
 
 def identify_publishers(node: Node, topic: str) -> set[str]:
     """Return an id of each publisher of a topic; a program that was started again has another."""
-    return {bytes(info.endpoint_gid).hex() for info in publishers_of(node, topic)}
+    return _identify(publishers_of(node, topic))
+
+
+def identify_subscribers(node: Node, topic: str) -> set[str]:
+    """Return an id of each subscription of a topic, but for those of observers that hide."""
+    return _identify(subscribers_of(node, topic))
 
 
 def subscribers_of(node: Node, topic: str) -> list[Any]:
@@ -126,6 +131,10 @@ def full_name(info: Any) -> str:
     if info.node_name in (UNKNOWN, BARE):
         return "a program that is not a node of ROS"
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
+def _identify(infos: Sequence[Any]) -> set[str]:
+    return {bytes(info.endpoint_gid).hex() for info in infos}
 
 
 def _has_source(node: Node, info: Any) -> bool:
