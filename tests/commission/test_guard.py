@@ -357,6 +357,24 @@ def test_a_note_that_cannot_be_written_is_told_before_theta_is_commanded(start, 
     os.close(sealed)
 
 
+def test_a_guard_that_was_stopped_and_went_on_does_not_blame_rig_or_controller(
+    start, probe, states
+):
+    _, until = be_rig_and_controller(probe)
+    knob = probe.collect(Float64, "/knob")
+    guard = start("koop_guard", **SLOWEST)
+    until(lambda: knob and knob[-1].data == 0.8, "the controller to be followed")
+    os.kill(guard.process.pid, signal.SIGSTOP)
+    begin = time.monotonic()
+    until(lambda: time.monotonic() > begin + 6.0, "a while")
+    os.kill(guard.process.pid, signal.SIGCONT)
+    until(lambda: states[-1].status == GuardState.TRIPPED, "a trip")
+    assert states[-1].cause == "guard stood still"
+    assert re.fullmatch(r"the guard itself stood still for [67]\.\d s", states[-1].reason)
+    until(lambda: not states[-1].rearm_refused, "the cause to be gone")
+    assert {s.rearm_refused for s in states} <= {"", states[-1].reason, "the guard has not tripped"}
+
+
 RIG_PROGRAM = """
 import random, sys, time, rclpy
 from std_msgs.msg import Float64, Float64MultiArray

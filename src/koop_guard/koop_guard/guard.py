@@ -42,6 +42,7 @@ class Cause(str, Enum):
     SILENT = "controller silent"
     TOO_OLD = "controller too old"
     INACTIVE = "controller inactive"
+    STILL = "guard stood still"
     DOUBLED = "controller doubled"
     BROKEN = "constraint broken"
     AT_LIMIT = "controller at a limit"
@@ -155,6 +156,7 @@ class Guard:
         window = bounded.window / config.pace if bounded else math.inf
         self._broken = max(SAFETY.broken * window, self._silence)
         self._margin, self._kept = math.nan, math.inf
+        self._looked = math.inf
         self._causes: dict[Cause, tuple[str, float]] = {}
 
     @property
@@ -221,7 +223,19 @@ class Guard:
             self._kept = now
 
     def hear_time(self, now: float) -> None:
-        """Detect silence, and a constraint that was broken for too long."""
+        """Detect silence, and a constraint that was broken for too long.
+
+        What it did not hear while it stood still itself is no silence of others.
+        """
+        if (still := now - self._looked) > self._silence:
+            ages = [now - heard for heard in (self._arrived, self._answered) if heard > -math.inf]
+            if ages and max(ages) > self._silence:
+                self.note(Cause.STILL, f"the guard itself stood still for {still:.1f} s", now)
+            self._arrived, self._answered, self._kept = (
+                heard if math.isinf(heard) else min(heard + still, now)
+                for heard in (self._arrived, self._answered, self._kept)
+            )
+        self._looked = now
         if (age := now - self._kept) > self._broken:
             left = f"its margin is {self._margin:.3g}"
             left = "its signal is not known" if math.isnan(self._margin) else left

@@ -169,6 +169,29 @@ def test_what_fails_trips_the_guard_in_time_and_theta_returns(fault, seconds, ca
     assert max(abs(b - a) for a, b in pairwise(loop.thetas)) <= CONFIG.theta_rate * DT * (1 + 1e-6)
 
 
+@pytest.mark.parametrize("queued", ["nothing", "states", "old answers"])
+def test_a_guard_that_stood_still_says_so_and_not_that_others_were_silent(queued):
+    """Failed before: its trip read that the rig or the controller had been silent meanwhile."""
+    loop = Loop()
+    loop.run(2.0)
+    loop.now += 6.4
+    if queued != "nothing":  # was in the queue and is heard before it looks
+        loop.guard.hear_state((0.1, 0.2), loop.now)
+    if queued == "old answers":
+        loop.guard.hear_answer([1.0], False, loop.now, True)
+    loop.guard.hear_time(loop.now)
+    loop.guard.advance(loop.now)
+    told = "the guard itself stood still for 6.4 s"
+    assert (loop.guard.trip.cause, loop.guard.trip.reason) == (Cause.STILL, told)
+    loop.run(CALM - 0.1)
+    assert loop.guard.refusal(loop.now) == told
+    assert loop.run(0.2).refusal(loop.now) == ""
+    loop.guard.rearm(loop.now, True)
+    assert loop.run(10.0).trip.cause is Cause.STILL
+    loop.run(SILENCE + 0.1, x=None)  # a silence is one still
+    assert loop.guard.trip.cause is Cause.RIG_SILENT
+
+
 def test_nothing_is_commanded_before_the_controller_answers_and_short_gaps_do_no_harm():
     loop = Loop()
     assert loop.run(5.0, asked=None).status is Status.WAITING
