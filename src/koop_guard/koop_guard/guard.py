@@ -237,9 +237,12 @@ class Guard:
             )
         self._looked = now
         if (age := now - self._kept) > self._broken:
+            constraint = f"the constraint {self._config.constraint}"
             left = f"its margin is {self._margin:.3g}"
             left = "its signal is not known" if math.isnan(self._margin) else left
-            text = f"the constraint {self._config.constraint} is not kept for {age:.1f} s: {left}"
+            text = f"{constraint} is not kept for {age:.1f} s: {left}"
+            if self._margin >= 0.0:  # the newest: it was kept then
+                text = f"nothing new of {constraint} for {age:.1f} s"
             self.note(Cause.BROKEN, text, now)
         topic = self._config.source.topic
         if self._arrived > -math.inf and (age := now - self._arrived) > self._silence:

@@ -263,6 +263,20 @@ def test_a_constraint_may_be_broken_for_three_windows():
         assert run(20.0, 0.1).status is Status.FOLLOWING
 
 
+def test_a_constraint_that_was_kept_and_of_which_nothing_new_comes_is_not_called_broken():
+    """Failed before: 'is not kept for 6.0 s: its margin is 0.22'."""
+    bound = "rms(/r/effort:data, 2 s) < 3"
+    config = GuardConfig(measured="/r:x,y", command="/r/t:data", dt=DT, constraint=bound)
+    loop = Loop(config, 0.0)
+    loop.guard.hear_margin(0.22, loop.now)
+    assert loop.run(5.9).status is Status.FOLLOWING
+    trip = loop.run(0.2).trip
+    assert (trip.cause, trip.reason) == (
+        Cause.BROKEN,
+        f"nothing new of the constraint {bound} for 6.0 s",
+    )
+
+
 def test_a_rearm_is_refused_while_the_cause_lasts_and_theta_goes_on_from_theta_safe():
     loop = Loop()
     loop.run(1.0)
