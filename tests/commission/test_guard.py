@@ -447,11 +447,12 @@ def test_a_rig_that_was_restarted_is_commanded_from_theta_start_within_the_rate(
 CLOCK = """
 import rclpy, time
 from rclpy.parameter import Parameter
-from koop_guard.guard import Cause
+from koop_guard.guard import Cause, Guard
 from koop_guard.node.guard_node import GuardNode
 
 rclpy.init()
-node = GuardNode(parameter_overrides=[Parameter("command", value="/knob:data")])
+values = {"command": "/knob:data", "rearms": 20}
+node = GuardNode(parameter_overrides=[Parameter(name, value=v) for name, v in values.items()])
 node.trigger_configure()
 clock, text = time.time, []
 time.time = lambda: clock() + 86400.0
@@ -459,6 +460,12 @@ node.run._guard.note(Cause.ASKED, "it was asked", time.monotonic())
 for _ in range(2):
     print(node.run.diagnose()[1], flush=True)
     time.time = lambda: clock() - 86400.0
+now = time.monotonic()
+guard = node.run._guard = Guard(node.run._config, [0.0])
+guard.note(Cause.INACTIVE, "it was inactive", now)
+for wait in (0.0, 5.0):
+    guard.hear_time(now + wait)
+    print(node.run.diagnose()[1], flush=True)
 """
 
 
@@ -470,6 +477,11 @@ def test_a_trip_is_dated_by_the_clock_as_it_was_set_by_then():
     at = time.mktime(time.strptime(told[0], "%Y-%m-%d %H:%M:%S")) - 86400.0
     assert begin - 1.0 <= at <= time.time(), done.stderr
     assert told[1] == told[0]
+    ways = re.findall(
+        "it was inactive, at [^;]*; it rearms itself (.*), 20 of 20 left", done.stdout
+    )
+    assert ways[0] == "10 s after its cause is gone"
+    assert re.fullmatch(r"at \d\d:\d\d:\d\d", ways[1])
 
 
 def assert_replays(koop, run):

@@ -295,11 +295,22 @@ class Guard:
 
     def may_rearm_itself(self, now: float) -> bool:
         """Return whether it is time for an automatic rearm."""
-        trip, config = self.trip, self._config
+        return now > self.rearms_at
+
+    @property
+    def pause(self) -> float:
+        """Time without a cause before an automatic rearm [s]; infinite where none comes."""
+        trip = self.trip
         if self.status is not Status.TRIPPED or trip is None or trip.cause in ONCE:
-            return False
-        pause = SAFETY.rearm_pause * 2.0**self.rearmed
-        return self.rearmed < config.rearms and now - self._calm > pause
+            return math.inf
+        if self.rearmed >= self._config.rearms:
+            return math.inf
+        return SAFETY.rearm_pause * 2.0**self.rearmed
+
+    @property
+    def rearms_at(self) -> float:
+        """Steady time of the next automatic rearm [s]; infinite while that is not known."""
+        return self._calm + self.pause
 
     def advance(self, now: float) -> tuple[float, ...]:
         """Move theta on to its target, as far as the rate allows, and return it."""

@@ -314,6 +314,10 @@ def test_automatic_rearms_are_counted_and_their_pause_doubles():
     for pause in (10.0, 20.0):
         guard = loop.run(DT, x=lambda k: 5.0)
         quiet = 0.0
+        assert (guard.pause, guard.rearms_at) == (pause, math.inf)  # the cause lasts
+        due = loop.run(CALM + 0.1).rearms_at
+        quiet += CALM + 0.1
+        assert due - loop.now == pytest.approx(pause - 0.1, abs=2 * DT)
         while not guard.may_rearm_itself(loop.now):
             loop.run(0.1)
             quiet += 0.1
@@ -323,6 +327,7 @@ def test_automatic_rearms_are_counted_and_their_pause_doubles():
     loop.run(DT, x=lambda k: 5.0)
     loop.run(100.0)
     assert not loop.guard.may_rearm_itself(loop.now)
+    assert math.isinf(loop.guard.pause)
     assert loop.guard.refusal(loop.now) == ""  # by hand it may be
     asked = Loop(config, 0.0)
     asked.run(1.0)

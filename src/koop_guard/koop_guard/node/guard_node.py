@@ -246,6 +246,7 @@ class GuardRun(Run):
             then = time.localtime(self._date(trip))
             when = time.strftime("%Y-%m-%d %H:%M:%S", then)  # it may have been in an earlier run
             why = f"tripped: {trip.reason}, at {when}" + f"; {unknown}" * bool(unknown)
+            why += self._describe_rearms()
             values["rearm_refused"] = refusal
             if refusal:
                 return ERROR, f"no rearm now: {refusal}; {why}", values
@@ -257,6 +258,18 @@ class GuardRun(Run):
         if unknown:
             return WARN, unknown, values
         return OK, "moves theta to ~/target" if self._to_target else "following", values
+
+    def _describe_rearms(self) -> str:
+        """Say when the guard rearms itself, and how often it does."""
+        guard = self._guard
+        if math.isinf(guard.pause):
+            return ""
+        when = f"{guard.pause:g} s after its cause is gone"
+        if not math.isinf(guard.rearms_at):
+            ahead = guard.rearms_at - time.monotonic()
+            when = time.strftime("at %H:%M:%S", time.localtime(time.time() + ahead))
+        left = self._config.rearms - guard.rearmed
+        return f"; it rearms itself {when}, {left} of {self._config.rearms} left"
 
     def _on_state(self, message: Any, written: float) -> None:
         now = time.monotonic()
