@@ -107,22 +107,32 @@ class Stages:
             lent.append(each)
         else:
             loop, turns = Loop(*zip(*lent, strict=True)), self._turns
-            kind = self._kind if self._lent else kind_of(loop)
             if self._kind is None:  # compiled before the first message: it takes seconds
+                kind = self._kind = kind_of(loop)
                 put(turns, number, loop, kind)
                 get(turns, number, kind)
                 self._run(0, executor.wakeup(0.0), turns, kind)
                 release_compiler()
                 gc.freeze()  # what has come with it is looked through at every collection else
-                self._kind = kind
-            elif put(turns, number, loop, kind):
+            elif self._put(number, loop):
                 readers = [run.reader for run in runs]
                 turns.descriptors[number] = [
                     executor.descriptor(each.subscription) if each else -1 for each in readers
                 ]
                 turns.lent[number], turns.due[number] = True, NOW
                 self._lent[number] = runs, loop
-                self._kind = kind
                 return
         for run, (_, same) in zip(runs, lent, strict=True):
             run.take_back(same, same, self._looked)
+
+    def _put(self, number: int, loop: Loop) -> bool:
+        """Lend a loop, of another type only where no other is lent; return whether it is.
+
+        To look at the type in Python takes milliseconds: it is done where it has changed.
+        """
+        if put(self._turns, number, loop, self._kind):
+            return True
+        if self._lent:
+            return False
+        self._kind = kind_of(loop)
+        return bool(put(self._turns, number, loop, self._kind))
