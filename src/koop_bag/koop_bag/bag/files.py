@@ -55,8 +55,14 @@ def leave_out_empty(files: Sequence[Path]) -> list[Path]:
 
     A machine that loses its power may leave the last file of a recording empty.
     """
-    # of one that is not there any more, what opens it says so
-    return [path for path in files if not (path.is_file() and path.stat().st_size == 0)]
+    return [path for path in files if not _is_empty(path)]
+
+
+def _is_empty(path: Path) -> bool:
+    try:
+        return path.is_file() and path.stat().st_size == 0
+    except OSError:
+        return False  # a ring dropped it just now; what opens it says so
 
 
 def _number(path: Path) -> tuple[int, str]:
