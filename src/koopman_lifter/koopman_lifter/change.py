@@ -12,9 +12,10 @@ away is 58 dB down. From one window to the next, two periods later, its phase ad
     arg P = 4 pi e,     e = f / f0 - 1,     P = sum over channels of conj(C) C' / usual variance,
 
 which gives f within a quarter of f0, whatever the amplitude: what a controller does to that is no
-change. The running mean of e over the first windows gives the known range [low, high], which holds
-what f owes to theta. Then a cumulative sum (CUSUM; Page 1954) for either side adds up the logarithm
-of the likelihood that e is ``move`` beyond the range to that of its being at the end of it,
+change. For samples that are lost, up to a period of them, the mean stands. The running mean of e
+over the first windows gives the known range [low, high], which holds what f owes to theta. Then a
+cumulative sum (CUSUM; Page 1954) for either side adds up the logarithm of the likelihood that e is
+``move`` beyond the range to that of its being at the end of it,
 
     S' = max(0, S + w (move / s^2) (beyond - move / 2)),
 
@@ -52,6 +53,7 @@ QUARTERS = (1.0 + 0.0j, -1.0j, -1.0 + 0.0j, 1.0j)  # exp(-i phase) after quarter
 DAY = 86400.0  # [s]
 BLOCK = 16  # states that are looked at together: the call costs more than that
 LOOKED = 20  # windows that dominant_period makes of what is listened to
+GAP = 32  # such a share of what is listened to may be lost at once, else it begins anew
 FITS = 4  # periods in one of them, at least
 AVERAGED = 4  # windows of a spectrum of what is listened to: 20 periods in each, at least
 TOLD = 0.15  # e that is told: a frequency that has left the quarter looks like a larger one
@@ -204,14 +206,19 @@ def _count(threshold: float, t: Tally, product: complex) -> Tally:
 
 @njit()
 def follow(threshold: float, s: Spectrum, tally: Tally, step: int, x: NDArray[np.float64]) -> Tally:
-    """Take a measured state, shape (n,); one or two lost ones are as the one before."""
+    """Take a measured state, shape (n,).
+
+    One or two lost ones are as the one before, those of up to a period as the mean.
+    """
     for i in range(x.shape[0]):
         if not abs(x[i]) < LARGEST:
             return tally
     lost = step - s.cursor[3] - 1
-    if lost < 0 or lost > COST.bridged:
+    if lost < 0 or lost > s.cursor[1] // 2:
         s.cursor[2] = lost = 0
         _begin_segment(s)
+    for i in range(x.shape[0] if lost > COST.bridged else 0):
+        s.last[i] = s.moments[1, i, 0] / s.cursor[1]
     for i in range(lost + 1):
         product = _add(s, x if i == lost else s.last)
         if product != 0j:
@@ -229,6 +236,8 @@ class Listening(NamedTuple):
     """Shape (M, n): means of ``every`` samples."""
     part: NDArray[np.float64]
     """Shape (n,): sum of the samples of the next mean."""
+    filler: NDArray[np.float64]
+    """Shape (n,): what stands for lost samples."""
     cursor: NDArray[np.int64]
     """Shape (4,): rows filled, ``every``, samples in ``part``, step of the last sample."""
 
@@ -246,25 +255,33 @@ class Senses(NamedTuple):
 
 @njit()
 def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
-    """Take a measured state, shape (n,); what is full takes no more."""
-    cursor = ear.cursor
+    """Take a measured state, shape (n,), the mean for few lost ones; what is full takes no more."""
+    cursor, rows = ear.cursor, ear.rows
     for i in range(x.shape[0]):
         if not abs(x[i]) < LARGEST:
             return
     lost = step - cursor[3] - 1
     cursor[3] = step
-    if lost < 0 or lost > COST.bridged:
+    if lost < 0 or lost * GAP > rows.shape[0] * cursor[1]:
         cursor[0] = cursor[2] = 0
-    if cursor[0] == ear.rows.shape[0]:
-        return
-    for i in range(x.shape[0]):
-        ear.part[i] = (ear.part[i] if cursor[2] > 0 else 0.0) + x[i]
-    cursor[2] += 1
-    if cursor[2] == cursor[1]:
+    if cursor[0] == 0:
+        lost = 0
+    for i in range(x.shape[0] if lost > 0 else 0):
+        ear.filler[i] = 0.0
+        for row in range(cursor[0]):
+            ear.filler[i] += rows[row, i] / cursor[0]
+    for k in range(lost + 1):
+        if cursor[0] == rows.shape[0]:
+            return
         for i in range(x.shape[0]):
-            ear.rows[cursor[0], i] = ear.part[i] / cursor[1]
-        cursor[0] += 1
-        cursor[2] = 0
+            value = x[i] if k == lost else ear.filler[i]
+            ear.part[i] = (ear.part[i] if cursor[2] > 0 else 0.0) + value
+        cursor[2] += 1
+        if cursor[2] == cursor[1]:
+            for i in range(x.shape[0]):
+                rows[cursor[0], i] = ear.part[i] / cursor[1]
+            cursor[0] += 1
+            cursor[2] = 0
 
 
 @njit()
@@ -326,7 +343,8 @@ class Watch:
     def _begin(self, near: float = 0.0) -> None:
         """Forget what is known, and look for the oscillation."""
         n, self._near, self._lost = self.channels, near, 0.0
-        ear = Listening(np.zeros((WATCH.listened, n)), np.zeros(n), np.array([0, 1, 0, 0]))
+        rows, cursor = np.zeros((WATCH.listened, n)), np.array([0, 1, 0, 0])
+        ear = Listening(rows, np.zeros(n), np.zeros(n), cursor)
         self.senses, self.tally, self._count = Senses(ear, math.inf, spectrum(9, n)), Tally(), 0
         self._last: NDArray[np.float64] = np.zeros(0)  # power by bin of the last spectrum
         self._most: NDArray[np.float64] = np.zeros(0)  # the most of all before it
@@ -359,7 +377,7 @@ class Watch:
 
     def look(self) -> Change | None:
         """Look at the spectrum where enough was heard: some milliseconds now and then."""
-        rows, _, cursor = self.senses.ear
+        rows, _, _, cursor = self.senses.ear
         if cursor[0] < len(rows):
             return None
         if self.senses.threshold < math.inf:
@@ -392,7 +410,7 @@ class Watch:
         return rise
 
     def _look_for_oscillation(self) -> None:
-        rows, _, cursor = self.senses.ear
+        rows, _, _, cursor = self.senses.ear
         size = len(rows)
         dt = float(cursor[1]) * self._dt
         try:
@@ -422,7 +440,7 @@ class Watch:
 
     def _power(self) -> NDArray[np.float64]:
         """Return the power by bin of what was listened to, and listen again."""
-        rows, _, cursor = self.senses.ear
+        rows, _, _, cursor = self.senses.ear
         cursor[0] = 0
         return window_powers((rows / self._scale).T, len(rows) // AVERAGED).sum(axis=1)
 
@@ -451,7 +469,7 @@ class Watch:
     @property
     def _resolution(self) -> float:
         """Distance of two bins of a spectrum of what is listened to [Hz]."""
-        rows, _, cursor = self.senses.ear
+        rows, _, _, cursor = self.senses.ear
         return AVERAGED / (len(rows) * float(cursor[1]) * self._dt)
 
     def _line(self, power: NDArray[np.float64], peak: int) -> float:

@@ -21,7 +21,10 @@ def _heard(ear, first, x):
 
 def test_the_kernels_do_the_same_with_and_without_compiler():
     x = swinging(np.ones(5000))
-    ears = [Listening(np.zeros((400, 1)), np.zeros(1), np.array([0, 4, 0, 0])) for _ in range(2)]
+    ears = [
+        Listening(np.zeros((400, 1)), np.zeros(1), np.zeros(1), np.array([0, 4, 0, 0]))
+        for _ in range(2)
+    ]
     _heard(ears[0], 1, x)
     for k in range(5000):
         listen.py_func(ears[1], 1 + k, x[k])
@@ -186,6 +189,23 @@ def test_lost_and_unusable_samples_are_no_change():
         watch.look()
     assert watch.learned
     assert watch.frequency == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("ratio", [0.87, 1.1])
+def test_a_mode_that_moves_is_seen_though_a_machine_stalls_every_few_periods(ratio):
+    rng = np.random.default_rng(2)
+    learned = samples(2 * LEARNED)
+    frequency = np.where(np.arange(learned + samples(10)) < learned, 1.0, ratio)
+    x = swinging(frequency, noise=0.1)
+    watch, step, found = Watch(1, DT), 0, []
+    while step < len(x):
+        change = watch.take(step, x[step]) or watch.look()
+        found += [(step, change)] if change else []
+        step += 1 if rng.random() > DT / 4.0 else rng.integers(2, samples(0.9))
+    ((at, change),) = found  # failed before: the oscillation was never found
+    assert at > learned
+    assert change.before == pytest.approx(1.0, rel=0.01)
+    assert change.after == pytest.approx(ratio, rel=0.04)
 
 
 def test_where_nothing_moves_nothing_is_found():
