@@ -20,7 +20,7 @@ interference, or noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -79,6 +79,9 @@ class AmplitudeSettings(Settings):
     )
     repeated: float = parameter(
         0.25, "different values over samples of a sensor with a step", low=0.0, high=1.0
+    )
+    unsteady: float = studied(
+        0.5, "share of a line's power in a hold that is no tone's", low=0.0, high=1.0
     )
     minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
 
@@ -343,6 +346,7 @@ def choose_amplitude(
     places: Sequence[tuple[Array, int]] = (),
     hidden: Sequence[float] = (),
     beside: bool = False,
+    unsteady: Callable[[int, int], Array] | None = None,
 ) -> Amplitude | None:
     """Choose what is summed, from the powers of holds once each had settled.
 
@@ -361,6 +365,8 @@ def choose_amplitude(
         Power that a sensor's step may hide in each channel, see :func:`find_hidden`.
     beside : bool
         Whether what is beside a quiet line counts: longer windows may tell it from that.
+    unsteady : callable, optional
+        See :func:`koop_tune.excitation.steady.unsteady_shares`, of a channel and a group.
 
     Returns
     -------
@@ -386,6 +392,8 @@ def choose_amplitude(
     if not beside:
         reacts &= ~_is_beside_line(windows, mean, reacts)
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
+    if unsteady is not None:
+        reacts &= ~_is_steady(mean, reacts, unsteady)
     background = np.minimum(_beside(windows, density, reacts), most)
     unsure = AMPLITUDE.doubt * background
     for c, g in zip(*np.nonzero(reacts), strict=True):
@@ -464,6 +472,28 @@ def _is_beside_line(windows: Windows, mean: Array, reacts: NDArray[np.bool_]) ->
     strongest = _strongest_near(quiet)
     strongest = np.maximum.reduceat(strongest, edges[:-1] - 1, axis=1)
     return np.asarray(reacts & (strongest > AMPLITUDE.line * mean.max(axis=0)))
+
+
+def _is_steady(
+    mean: Array, reacts: NDArray[np.bool_], unsteady: Callable[[int, int], Array]
+) -> NDArray[np.bool_]:
+    """Return whether groups are tones far weaker than what else reacts, shape (n, G).
+
+    The strongest line is kept: theta may change how a rig responds to a tone. In most holds there
+    is little but the tone, and in others what is with it is little beside the rest: a harmonic.
+    """
+    steady = np.zeros(reacts.shape, bool)
+    strongest = (mean * reacts).max(axis=0)
+    for c, g in zip(*np.nonzero(reacts & (strongest >= _strongest_near(strongest))), strict=True):
+        line = slice(max(g - AMPLITUDE.lobe, 0), g + AMPLITUDE.lobe + 1)
+        power = mean[:, c] * reacts[c]
+        own = power[:, line].sum(axis=1)
+        rest = power.sum(axis=1) - own
+        if rest.max() > AMPLITUDE.falls * own.max():
+            share = unsteady(c, g)
+            tone, little = share < AMPLITUDE.unsteady, share * own < AMPLITUDE.skirt * rest
+            steady[c, line] |= (tone | little).all() and 2 * tone.sum() > tone.size
+    return steady
 
 
 def _find_beating(windows: Windows, mean: Array, error: Array, reacts: NDArray[np.bool_]) -> Array:

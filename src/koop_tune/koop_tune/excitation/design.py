@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ from koop_tune.excitation.amplitude import (
 from koop_tune.excitation.channels import find_lines, should_listen
 from koop_tune.excitation.holds import Hold, Level, find_proven, longest_growth, usual_wander
 from koop_tune.excitation.static_map import MAP, StaticMap
+from koop_tune.excitation.steady import unsteady_shares
 from koop_tune.origin import studied
 from koop_tune.rig.rig_file import RigFile
 
@@ -548,7 +550,7 @@ class Design:
         before = self._hold.u if move.via is None else move.via
         self._hold = Hold(
             move.u, int(np.sign(move.u - before)), np.empty((0, len(self.rig.names))), number,
-            move.why,
+            move.why, elapsed,
         )  # fmt: skip
         self._next, self._usual, self._target = 0, self._wander(), self._target_error()
         least = s.brief * self.windows.length
@@ -662,7 +664,8 @@ class Design:
             self.holds = [hold for hold in self.holds if hold.size >= least]
             there = {*self._queue, *(hold.u for hold in self.holds)}
             self._queue += [u for u in dict.fromkeys(short) if u not in there]
-        self.amplitude = choose_amplitude(*known) if len(holds) > 1 else None
+        unsteady = partial(unsteady_shares, self.windows, holds)
+        self.amplitude = choose_amplitude(*known, unsteady=unsteady) if len(holds) > 1 else None
 
     @property
     def left(self) -> int:

@@ -54,17 +54,27 @@ class Hold:
         Samples since theta arrived.
     number : int
         Number of the hold, in order; -1 where it is not known.
+    why : str
+        Why theta is there.
+    began : float
+        When theta arrived [s]; NaN where it is not known.
 
     Attributes
     ----------
     size : int
         Number of samples.
-    why : str
-        Why theta is there.
     """
 
-    def __init__(self, u: float, side: int, x: Array, number: int = -1, why: str = "") -> None:
-        self.u, self.side, self.number, self.why = u, side, number, why
+    def __init__(
+        self,
+        u: float,
+        side: int,
+        x: Array,
+        number: int = -1,
+        why: str = "",
+        began: float = math.nan,
+    ) -> None:
+        self.u, self.side, self.number, self.why, self.began = u, side, number, why, began
         self.size = x.shape[0]
         self.confirms = False
         self._parts = [x]
