@@ -352,6 +352,18 @@ def test_a_line_that_comes_and_goes_is_none_of_thetas_but_an_oscillation_may(hys
     assert not weighs_at(amplitude, 0, 4.0)
 
 
+def test_a_rig_that_rests_or_oscillates_at_one_theta_is_summed_at_all():
+    """Failed before: a line far weaker than the oscillation was all that was summed."""
+    rng = np.random.default_rng(0)
+    places = [0.0, 0.25, 0.5, 0.75, 1.0, 0.0, 0.0, 0.5, 0.75]
+    sizes = [0.02, 0.5, 0.1, 0.2, 0.3, 1.0, 0.9, 0.1, 0.2]
+    other = [0.2 * (1.0 + u) for u in places]
+    holds = [hold(rng, [(4.0, a), (10.0, b)]) for a, b in zip(sizes, other, strict=True)]
+    amplitude = choose_amplitude(WINDOWS, holds, places=[([u], 1) for u in places])
+    assert weighs_at(amplitude, 0, 4.0)
+    assert levels(amplitude, holds).argmax() == 5
+
+
 def test_where_theta_was_at_one_place_only_what_differs_there_counts_and_nothing_warns():
     rng, sizes = np.random.default_rng(0), [0.1, 1.0, 0.2, 2.0]
     holds = [hold(rng, [(4.0, size)]) for size in sizes]

@@ -532,9 +532,10 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[Array, int]]) -> 
     """Return whether groups have about the same power where theta is the same, shape (n, G).
 
     An interference that comes and goes differs as much there as over the whole range, and as much
-    from one place to the next. A slow oscillation that noise drives may differ at a place, too, but
-    less from place to place. With hysteresis only holds that theta came to from the same side are
-    alike.
+    from one place to the next: at most places at which theta was again, and more than one. A rig
+    that has two states at a theta, at rest and oscillating, differs there alone. A slow oscillation
+    that noise drives may differ at a place, too, but less from place to place. With hysteresis only
+    holds that theta came to from the same side are alike.
     """
     at, level = np.array([[*u, side] for u, side in places]), np.log(mean)
     if not at.size:
@@ -550,7 +551,10 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[Array, int]]) -> 
         squares = (level[a] - level[b]) ** 2 - error[a] ** 2 - error[b] ** 2
         return np.asarray(0.5 * squares.mean(axis=0) >= AMPLITUDE.comes * level.var(axis=0))
 
-    return ~(differs(first, again) & differs(np.flatnonzero(moved), nearest[moved]))
+    place = (apart < AMPLITUDE.same).argmax(axis=1)[first]  # the first hold there
+    there = np.array([differs(first[place == k], again[place == k]) for k in np.unique(place)])
+    often = (there.sum(axis=0) > 1) & (2 * there.sum(axis=0) >= there.shape[0])
+    return ~(often & differs(np.flatnonzero(moved), nearest[moved]))
 
 
 def _is_most(mean: Array, part: NDArray[np.bool_], rest: NDArray[np.bool_]) -> bool:
