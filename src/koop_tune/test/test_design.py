@@ -309,6 +309,23 @@ def test_what_is_slower_and_does_not_react_or_is_faint_needs_no_longer_windows(s
     assert not any("what is slower reacts" in move.why for move in moves)
 
 
+def test_windows_that_became_longer_do_so_once_until_theta_was_everywhere_again():
+    """Failed before: a drift in the first two holds made them longer, and that in the next ones."""
+    rig = Simulated(wide, slow=lambda u: 2.0 * u)
+    design, _ = excite(rig, replace(RIG, time=3e4), most=COUNT)
+    design._slow = True
+    move = design._look_again(4 * design.windows.length, "what is slower reacts too")
+    seconds = design.windows.seconds
+    rig.slow_frequency, count = 3.0 / seconds, 0
+    while design.windows.seconds == seconds:
+        rig.go(move.u)
+        design.arrive(move, rig.seconds)
+        while not design.take(rig.stay(design.windows.length)):
+            pass
+        count, move = count + 1, design.next()
+    assert count == COUNT
+
+
 def test_a_slow_oscillation_far_from_the_best_sets_no_windows():
     """Failed before: windows of a limit cycle 100 times the best, ten times as long."""
     rig = Simulated(wide, slow=lambda u: 100.0 * (u > 0.75))

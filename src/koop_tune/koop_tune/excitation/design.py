@@ -647,8 +647,8 @@ class Design:
             near = np.flatnonzero(moves & (y <= y[moves].min() + math.log(s.far)))
             self.period = reacts.period([means[i] for i in near])
             length = window_length(self.period, s.window, self.rig.dt)
-            if self._slow:  # shorter ones hid it
-                length = max(length, self.windows.length)
+            if self._slow:  # shorter ones hid it; in a few holds a drift looks alike
+                length = self.windows.length if self._queue else max(length, self.windows.length)
             elif not self._queue:
                 longest = min(hold.size for hold in holds) // s.brief
                 length = min(length, max(longest, 64, self.windows.length))
