@@ -80,6 +80,8 @@ def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
         FLAT: "nothing reacts to theta beyond the errors: 'koop check' tells whether theta reaches "
         "the rig",
     }.get(progress.ended) or progress.describe_end(rig)
+    if rig.count == 1 and progress.ended == KNOWN and len(progress.holds) >= DESIGN.most:
+        reason = "as many holds as are made, after which more would show little"
     return (
         f"{reason}; {len(progress.done)} holds in {progress.elapsed:.0f} s of the rig's time; "
         f"theta is back at {rig.spell('theta_safe')}"
@@ -209,12 +211,13 @@ class Excitation:
         Raises
         ------
         koop_core.config.parameter.ConfigError
-            If the time of the rig file is too short for that.
+            If the time of the rig file is too short for that, and nothing was done before: a user
+            who did as an interrupted one said is not sent away with another figure.
         """
         rig, (first_holds, whole) = self._rig, self._design.needed
         left = max(rig.time - self._elapsed, 0.0)
         self._note_time()
-        if first_holds > left:
+        if first_holds > left and not self._state.done:
             raise ConfigError(
                 f"the first holds alone need {first_holds:.0f} s, and of time = {rig.time:g} in "
                 f"the rig file {left:.0f} s are left: {self._state.longer}"

@@ -54,7 +54,9 @@ def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
     if useless and result.controller:
         lines.append(f"no effect, so they rest: {', '.join(useless)}")
     lines += [fit.moved] * bool(fit.moved)
-    lines += [f"share in the amplitude's square over theta: {fit.shares}"] * bool(fit.shares)
+    if fit.shares:
+        parts = fit.shares.replace("; ", "\n  ")
+        lines.append(f"parts of the amplitude, their shares of its square over theta:\n  {parts}")
     if result.costs:
         rows = []
         for cost in result.costs:

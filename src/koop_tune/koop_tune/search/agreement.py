@@ -332,7 +332,7 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
             )
         elif excess > good:
             faults.append(
-                f"near theta = {spell(run.theta)} the amplitude may be "
+                f"near theta = {spell(run.theta)} the amplitude may within its error be "
                 f"{times_best(excess, aim.sense)} known, {limit}"
             )
         elif rested > good:
