@@ -64,10 +64,21 @@ def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     assert proposed
     assert 0.005 < float(proposed[1]) < 0.1  # of a timer, on a busy machine
     assert "\ntopic that takes theta: " in done.stdout  # of two none is moved by Enter alone
-    assert "field of /tower/damping that takes theta (of several knobs" in done.stdout
+    assert "field of /tower/damping that takes theta [data]" in done.stdout
+    assert config.pace == 1.0
     assert "numbers in a message that change: data[0],data[1]; 1 others do not" in done.stdout
     assert "seen: data[0] -0.5 to 0.5, data[1] -1 to 1" in done.stdout
     assert f"next: ./koop check {path}" in done.stdout
+
+
+@pytest.mark.parametrize("rig", [0.05], indirect=True)  # [s] between two messages
+def test_a_rig_that_is_simulated_faster_is_asked_for_its_pace(rig, tmp_path):
+    path = tmp_path / "rig.yaml"
+    answers = "1 \n\n0.5\n\n2\n\n0.5\n1.6\n0.05\n1\n\nnone\n3 3\n\n\n"
+    done = answered(path, answers)
+    assert done.returncode == 0, done.stderr
+    assert "is it simulated, faster?" in done.stdout
+    assert 3.0 < read(path).pace < 12.0  # a busy machine's timer is late
 
 
 @pytest.mark.parametrize("rig", [4.0], indirect=True)  # [s] between two messages

@@ -52,6 +52,7 @@ class ProposalSettings(Settings):
     margin: float = judged(3.0, "ranges seen, by which a channel may leave that range", low=0.0)
     time: float = judged(1800.0, "of an excitation; each further knob twice", unit="s", low=1.0)
     most: int = judged(16, "fields that are proposed", low=1)
+    pace: float = judged(1.5, "times real time that are asked about", low=1.0)
 
 
 PROPOSAL = ProposalSettings()
@@ -121,6 +122,11 @@ class Interview:
         """Ask for every value of the rig file."""
         samples = self._ask_measured()
         self._ask("dt", proposal=_propose_dt(samples))
+        if (pace := self._measure_pace(samples)) > PROPOSAL.pace:
+            more = (
+                f"a message every {self.values['dt'] / pace:.2g} s here: is it simulated, faster?"
+            )
+            self._ask("pace", proposal=f"{pace:.2g}", more=more)
         self._ask_command()
         for name in ("theta_min", "theta_max", "theta_rate", "theta_start"):
             self._ask(name)
@@ -198,8 +204,14 @@ class Interview:
         proposal = [*names, "data[0]"][0]
         if hasattr(message, "theta"):
             proposal = "theta" if "theta" in names else "theta[0]"
-        question = f"field of {topic} that takes theta (of several knobs: separated by commas)"
-        return ask(question, proposal, parse)
+        several = " (of several knobs: separated by commas)" * (len(names) > 1)
+        return ask(f"field of {topic} that takes theta{several}", proposal, parse)
+
+    def _measure_pace(self, samples: Samples | None) -> float:
+        if samples is None or samples.arrival.size < DEFAULTS.fewest:
+            return 1.0
+        arrival = samples.arrival
+        return float(self.values["dt"] * (arrival.size - 1) / max(np.ptp(arrival), 1e-9))
 
     def _ask_limits(self, samples: Samples | None) -> None:
         channels = parse_source(self.values["measured"]).fields
