@@ -80,6 +80,18 @@ class Writer:
         return Memory()
 
 
+def _matching(qos: QoSProfile, publishers: Sequence[Any]) -> QoSProfile | None:
+    """Return a best-effort profile if one of the publishers could not be heard by a reliable one.
+
+    A reliable subscription makes such a publisher's process log a warning.
+    """
+    best_effort = ReliabilityPolicy.BEST_EFFORT
+    offered = [publisher.qos_profile.reliability for publisher in publishers]
+    if qos.reliability == best_effort or best_effort not in offered:
+        return None
+    return QoSProfile(depth=qos.depth, reliability=best_effort)
+
+
 class Input:
     """A subscription that hears reliable publishers and best-effort ones.
 
@@ -94,16 +106,14 @@ class Input:
         self._make = partial(node.create_subscription, kind, topic, deliver, raw=raw)
         self.number = 0
         """Of the newest message, as its publisher counts them; 0 where DDS does not give it."""
-        self.subscription: Subscription = self._make(qos)
-        self.match(publishers_of(node, self.subscription.topic_name))
+        heard = publishers_of(node, node.resolve_topic_name(topic))
+        self.subscription: Subscription = self._make(_matching(qos, heard) or qos)
 
     def match(self, publishers: Sequence[Any]) -> None:
         """Become best effort if one of the publishers could not be heard otherwise."""
-        qos, best_effort = self.subscription.qos_profile, ReliabilityPolicy.BEST_EFFORT
-        offered = [publisher.qos_profile.reliability for publisher in publishers]
-        if qos.reliability == ReliabilityPolicy.RELIABLE and best_effort in offered:
+        if other := _matching(self.subscription.qos_profile, publishers):
             self.close()
-            self.subscription = self._make(QoSProfile(depth=qos.depth, reliability=best_effort))
+            self.subscription = self._make(other)
 
     def port(self, message: Any, names: Sequence[str]) -> Port:
         """Return what compiled code takes messages from that are laid out as ``message``."""
