@@ -236,8 +236,8 @@ class Listening(NamedTuple):
     """Shape (M, n): means of ``every`` samples."""
     part: NDArray[np.float64]
     """Shape (n,): sum of the samples of the next mean."""
-    filler: NDArray[np.float64]
-    """Shape (n,): what stands for lost samples."""
+    mean: NDArray[np.float64]
+    """Shape (n,): mean of the rows; it stands for lost samples."""
     cursor: NDArray[np.int64]
     """Shape (4,): rows filled, ``every``, samples in ``part``, step of the last sample."""
 
@@ -266,20 +266,17 @@ def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
         cursor[0] = cursor[2] = 0
     if cursor[0] == 0:
         lost = 0
-    for i in range(x.shape[0] if lost > 0 else 0):
-        ear.filler[i] = 0.0
-        for row in range(cursor[0]):
-            ear.filler[i] += rows[row, i] / cursor[0]
     for k in range(lost + 1):
         if cursor[0] == rows.shape[0]:
             return
         for i in range(x.shape[0]):
-            value = x[i] if k == lost else ear.filler[i]
+            value = x[i] if k == lost else ear.mean[i]
             ear.part[i] = (ear.part[i] if cursor[2] > 0 else 0.0) + value
         cursor[2] += 1
         if cursor[2] == cursor[1]:
             for i in range(x.shape[0]):
                 rows[cursor[0], i] = ear.part[i] / cursor[1]
+                ear.mean[i] += (rows[cursor[0], i] - ear.mean[i]) / (cursor[0] + 1)
             cursor[0] += 1
             cursor[2] = 0
 
