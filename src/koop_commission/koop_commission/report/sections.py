@@ -88,7 +88,8 @@ def make_static_map(c: Contents) -> Section:
                 "resolved."
             )
             if fit.shares:
-                intro += f" Shares in the amplitude's square over theta: {fit.shares}."
+                parts = "; ".join(fit.shares)
+                intro += f" Shares in the amplitude's square over theta: {parts}."
         intro += f" Note: {fit.moved}." * bool(fit.moved)
     if c.tuned.is_refused:
         intro += f" Refused ({c.tuned.verdict}): {c.tuned.why}."

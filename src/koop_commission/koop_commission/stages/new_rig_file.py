@@ -210,8 +210,8 @@ class Interview:
     def _measure_pace(self, samples: Samples | None) -> float:
         if samples is None or samples.arrival.size < DEFAULTS.fewest:
             return 1.0
-        arrival = samples.arrival
-        return float(self.values["dt"] * (arrival.size - 1) / max(np.ptp(arrival), 1e-9))
+        dt = self.values["dt"]
+        return float(dt * measure_rhythm(samples, dt).rate)
 
     def _ask_limits(self, samples: Samples | None) -> None:
         channels = parse_source(self.values["measured"]).fields

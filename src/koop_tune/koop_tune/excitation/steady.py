@@ -47,8 +47,8 @@ def unsteady_shares(
             continue
         first = round(hold.began / windows.dt) + hold.size // 2
         skipped = hold.size // 2 - first % step
-        cut = sliding_window_view(bridge_gaps(hold.x[skipped:])[:, channel], windows.length)
-        cut = cut[:: PARTS * step]
+        x = bridge_gaps(hold.x[skipped:, channel : channel + 1])[:, 0]
+        cut = sliding_window_view(x, windows.length)[:: PARTS * step]
         spectra.append((cut - cut.mean(axis=1, keepdims=True)) @ turned)
         starts.append(first // step + PARTS * np.arange(cut.shape[0]))
         numbers += [number] * cut.shape[0]

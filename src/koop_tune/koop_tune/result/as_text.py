@@ -55,8 +55,8 @@ def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
         lines.append(f"no effect, so they rest: {', '.join(useless)}")
     lines += [fit.moved] * bool(fit.moved)
     if fit.shares:
-        parts = fit.shares.replace("; ", "\n  ")
-        lines.append(f"parts of the amplitude, their shares of its square over theta:\n  {parts}")
+        lines.append("parts of the amplitude, their shares of its square over theta:")
+        lines += [f"  {part}" for part in fit.shares]
     if result.costs:
         rows = []
         for cost in result.costs:

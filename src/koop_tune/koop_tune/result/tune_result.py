@@ -109,9 +109,9 @@ class AmplitudeMap:
     knob: int = 0
 
     @property
-    def shares(self) -> str:
+    def shares(self) -> list[str]:
         """Its largest parts with their shares, in words; empty if it has one part only."""
-        return "; ".join(mode.describe() for mode in self.modes[:6]) * (len(self.modes) > 1)
+        return [mode.describe() for mode in self.modes[:6]] * (len(self.modes) > 1)
 
     @property
     def moved(self) -> str:
