@@ -166,7 +166,7 @@ class Commissioning:
 
     def _conclude(self, rounds: tuple[Round, ...]) -> int:
         """Put the controller of the best round into ``tuned``, print the verdict."""
-        index = kept_index(rounds)
+        index = kept_index(rounds, self._rig.sense)
         old = self._folder / f"{TUNED}-{index + 1}"
         if old.exists():
             print(f"\nround {index + 1} came nearest to the best: its controller is kept")

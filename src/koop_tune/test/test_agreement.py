@@ -416,6 +416,14 @@ def test_the_best_of_several_knobs_is_that_of_all_their_sections():
     assert replace(RESULT, others=[doubtful]).make_aim(rig).best == FIT.best
 
 
+@pytest.mark.parametrize(("error", "told"), [(0.01, True), (0.5, False)])
+def test_one_hold_that_was_far_better_counts_though_others_there_were_not(error, told):
+    holds = Points([-1.0, 0.5, BEST, 3.0], [4.0, 0.5, 1.0, 3.0], [0.1, error, 0.1, 0.1])
+    aim = replace(RESULT, static_map=replace(FIT, holds=holds)).make_aim(RIG)
+    faults = find_faults(aim, [replace(run(aim), amplitude=1.0, doubt=0.01)])
+    assert ["times the best known" in fault for fault in faults] == [True] * told
+
+
 def test_a_round_knows_no_less_than_the_one_before():
     aim = RESULT.make_aim(RIG)
     (first,) = rounds_of((False, None, 50.0))
@@ -430,13 +438,20 @@ def test_a_round_knows_no_less_than_the_one_before():
     assert informed.y == higher.y
 
 
-def test_the_last_round_is_kept_if_it_damped_else_the_best_one():
-    (unlike,) = rounds_of((False, 1.0, 1.0), excess=1.2)
-    (weak,) = rounds_of((True, 1.0, 1.0), excess=1.83)
-    damped = replace(weak, damped=True)
-    assert kept_index([unlike, damped]) == 1
-    assert kept_index([unlike, weak]) == 0
-    assert weak.worst_excess == 1.83
+def test_the_last_round_is_kept_if_it_damped_else_the_one_with_the_best_amplitude():
+    def ended(amplitude, excess):
+        (item,) = rounds_of((False, 1.0, 1.0), excess=excess)
+        runs = [replace(each, measured=replace(each.measured, amplitude=amplitude))
+                for each in item.runs]  # fmt: skip
+        runs[0] = replace(runs[0], measured=replace(runs[0].measured, amplitude=1.0))
+        return replace(item, runs=tuple(runs))
+
+    # the map of the blind one did not know the best: by it all is good
+    blind, seeing = ended(3.0, 0.2), ended(2.0, 1.83)
+    assert kept_index([blind, seeing], 1.0) == 1
+    assert kept_index([blind, replace(blind, damped=True)], 1.0) == 1
+    assert kept_index([ended(0.5, 0.2), ended(0.9, 1.83)], -1.0) == 1
+    assert seeing.worst_excess == 1.83
 
 
 def test_a_folder_without_a_controller_is_refused(tmp_path):

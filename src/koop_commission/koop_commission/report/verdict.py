@@ -46,7 +46,7 @@ def list_stages(c: Contents) -> Iterator[Stage]:
     elif len(finished) < len(rounds):
         yield Stage("Verify", MISSING, f"round {rounds[-1].number}: not finished")
     else:
-        kept = finished[kept_index(finished)]
+        kept = finished[kept_index(finished, c.rig.sense)]
         yield Stage("Verify", DONE if kept.damped else NO, f"round {kept.number}: {kept.summary}")
 
 

@@ -147,7 +147,7 @@ def commissioned(
             path = path if file.count > 1 else path[:, 0]
             recording = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
             loaded = Loaded.joined([loaded, recording])
-    which = kept_index(rounds)
+    which = kept_index(rounds, file.sense)
     tuning, row["ratio"] = tried[which]
     row["damped"] = rounds[which].damped
     return tuning

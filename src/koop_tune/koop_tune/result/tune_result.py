@@ -17,7 +17,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import Aim, KnobAim
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.run import Constants
-from koop_tune.search.settings import CONVERGENCE
+from koop_tune.search.settings import CONVERGENCE, VERIFICATION
 
 
 class Points(NamedTuple):
@@ -218,16 +218,18 @@ class TuneResult:
         fit, controller = self.require_controller()
         least = min(self.maps.values(), key=lambda each: rig.sense * each.best + each.error)
         best = rig.sense * least.best
-        levels = [level for each in self.maps.values() for level in each.holds.level]
-        worst = float((rig.sense * np.log(levels)).max())
+        holds = [each.holds for each in self.maps.values()]
+        y = rig.sense * np.log([level for each in holds for level in each.level])
+        error = np.array([error for each in holds for error in each.error])
         knobs = [KnobAim(s, rest, (s.low, s.high))
                  for s, rest in zip(rig.scales, rig.each("theta_start"), strict=True)]  # fmt: skip
         for k, each in self.maps.items():
             knobs[k] = KnobAim(rig.scales[k], each.theta_best, each.valley)
         return Aim(
             fit.amplitude, fit.feature, tuple(knobs), rig.sense, least.best, least.error,
-            rig.sense * (best + CONVERGENCE.bound(worst - best)), controller.time, fit.growth,
-            controller.predicted, tuple(fit.modes),
+            rig.sense * (best + CONVERGENCE.bound(float(y.max()) - best)), controller.time,
+            fit.growth, controller.predicted, tuple(fit.modes),
+            known=float((y + VERIFICATION.seen * error).min()),
         )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ The amplitude is the excitation's (:mod:`koop_tune.excitation.amplitude`), in th
 loop is damped if, over its second half, which is at least as long as an oscillation was seen to
 need to grow,
 
-- the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong
+- the amplitude is within 1.5 of the best of the final map and of its best hold, of the loops
   and the holds after them, and of the best that an earlier round knew; so it is once theta rests;
 - nothing that is not summed moves far more than in any hold of the excitation;
 - all of theta's swing lies in the valley of that map, or in what the loop itself showed to be as
@@ -85,7 +85,8 @@ class Aim:
     longer : float
         Times that a loop is closed as long as these ask for: earlier ones left a doubt.
     known : float
-        y of the best amplitude that earlier rounds knew, its error on top; infinite without any.
+        y of the best amplitude of any hold, or of what earlier rounds knew, its error on top;
+        infinite without any.
     """
 
     amplitude: Amplitude

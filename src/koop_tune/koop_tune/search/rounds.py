@@ -139,19 +139,21 @@ def find_longer(rounds: Sequence[Round]) -> float:
 
 def inform(aim: Aim, rounds: Sequence[Round]) -> Aim:
     """Return an aim that knows what earlier rounds did: no round knows less than the one before."""
-    known = min((item.best for item in rounds if item.finished), default=math.inf)
+    known = min([aim.known, *(item.best for item in rounds if item.finished)])
     return replace(aim, longer=find_longer(rounds), known=known)
 
 
-def kept_index(rounds: Sequence[Round]) -> int:
+def kept_index(rounds: Sequence[Round], sense: float) -> int:
     """Return the index of the finished round whose controller is kept.
 
-    The last one's if it damped the rig, which ends the rounds; else that of the round which came
-    nearest to the best from its worse start.
+    The last one's if it damped the rig, which ends the rounds; else that of the round with the
+    best amplitude from its worse start: each measures the same, but its map may not know the best.
+    ``sense`` is +1 if little is wanted, else -1.
     """
     if rounds[-1].damped:
         return len(rounds) - 1
-    return min(range(len(rounds)), key=lambda k: rounds[k].worst_excess)
+    worst = [max(sense * run.measured.amplitude for run in item.runs) for item in rounds]
+    return worst.index(min(worst))
 
 
 def load_verification(folder: Path) -> Verification:

@@ -107,6 +107,7 @@ class VerificationSettings(Settings):
         1.0, "standard errors by which an amplitude may be larger than measured", low=0.0,
         origin="one in six, at the limit",
     )  # fmt: skip
+    seen: float = studied(3.0, "the same by which the best of all holds may be worse", low=0.0)
     later: float = studied(1.2, "time to converge, over the band", low=1.0)
     least: float = studied(0.25, "time that a loop is closed, over the prediction's", low=0.0)
     twice: float = studied(2.0, "the same over the time to converge, if more", low=1.0)
