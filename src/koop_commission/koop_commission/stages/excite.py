@@ -282,8 +282,8 @@ class Excitation:
         *before, level = design.levels()
         if before and abs(before[-1].mean - self._said) > DESIGN.redefined + before[-1].error:
             tqdm.write(
-                f"from here the amplitude is that of {amplitude.name(rig.names)}; by it the hold "
-                f"before has {math.exp(before[-1].mean):.3g}",
+                f"from here the amplitude is that of {amplitude.name(rig.names)}, in units of each "
+                f"channel's strongest motion: the hold before has {math.exp(before[-1].mean):.3g}"
             )
         self._said = level.mean
         doubt = f"{100.0 * level.error:.2g} %" if level.error < 1.0 else "unknown"
