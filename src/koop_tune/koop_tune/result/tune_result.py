@@ -229,7 +229,7 @@ class TuneResult:
             fit.amplitude, fit.feature, tuple(knobs), rig.sense, least.best, least.error,
             rig.sense * (best + CONVERGENCE.bound(float(y.max()) - best)), controller.time,
             fit.growth, controller.predicted, tuple(fit.modes),
-            known=float((y + VERIFICATION.seen * error).min()),
+            known=float((y + VERIFICATION.seen * error).min()) + VERIFICATION.seen_besides,
         )  # fmt: skip
 
 

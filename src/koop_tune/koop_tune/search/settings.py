@@ -108,6 +108,7 @@ class VerificationSettings(Settings):
         origin="one in six, at the limit",
     )  # fmt: skip
     seen: float = studied(3.0, "the same by which the best of all holds may be worse", low=0.0)
+    seen_besides: float = studied(0.1, "log amplitude by which it may be worse besides", low=0.0)
     later: float = studied(1.2, "time to converge, over the band", low=1.0)
     least: float = studied(0.25, "time that a loop is closed, over the prediction's", low=0.0)
     twice: float = studied(2.0, "the same over the time to converge, if more", low=1.0)
