@@ -188,7 +188,7 @@ def test_an_end_of_the_loop_that_was_a_fault_is_told_with_its_cause(tmp_path, en
     assert told in events
     assert ("The guard did not trip." in text) == (not told)
     assert ("The loop failed 1 time, at last " in text) == bool(told)
-    assert ("koop up" not in told) or "the guard left theta at -2" in events
+    assert ("koop up" not in told) or "theta was last recorded at -2, on its way" in events
 
 
 def test_a_recorder_that_was_lost_is_told_with_the_time(tmp_path, capsys):
@@ -214,6 +214,18 @@ def write_guard(folder, begin, end, *messages):
             times.append((BEGIN + t, guard, message))
         for time, channel, message in sorted(times, key=lambda item: item[0]):
             writer.write(channel, time * 10**9, time * 10**9, serialize_message(message))
+
+
+def test_what_a_guard_left_that_outlasted_its_recording_is_not_claimed(tmp_path, capsys):
+    """Failed before: "the guard left theta at 0.64828", though it returned it to 0.3."""
+    trip = {"status": 2, "cause": "ended", "reason": "the process that started the loop was killed"}
+    write_guard(tmp_path, 0, 60, (0, {"status": 1}), (59, {"theta": [0.64828], **trip}))
+    (tmp_path / "logs").mkdir()
+    note_end(tmp_path / "logs", Ended())
+    assert main(["report", str(tmp_path)]) == 0
+    _, text = read_page(tmp_path / "history.html")
+    assert "theta was last recorded at 0.64828, on its way to theta_safe or there" in text
+    assert "the guard left" not in text
 
 
 def test_a_trip_that_is_latched_over_restarts_is_one_event(tmp_path, capsys):

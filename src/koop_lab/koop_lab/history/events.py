@@ -128,12 +128,14 @@ def _fault(run: RunSpan, history: History) -> Event | None:
     if not run.closed:  # it may still go on
         return None
     said = [message for message in history.guard if run.begin - 1.0 <= message.time <= run.end]
-    last = next((m for m in reversed(said) if m.status == Status.TRIPPED), None)
     begin = next((m.time for m in said if m.cause == Cause.ENDED), run.end)
     text = "The loop ended by a fault: koop up was killed, for it noted no end"
-    if last is not None:
-        theta = format_knobs([value for value in last.theta if math.isfinite(value)])
-        text += f"; the guard left theta at {theta}"
+    if said and said[-1].status == Status.TRIPPED:
+        theta = format_knobs([value for value in said[-1].theta if math.isfinite(value)])
+        text += (
+            f"; theta was last recorded at {theta}, on its way to theta_safe or there: the guard "
+            "outlasts the recording, and its log says where it left theta"
+        )
     return Event(begin, begin, f"{text}.")
 
 
