@@ -29,12 +29,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 
 from koop_bag.bag.columns import read_columns
+from koop_bag.bag.earlier import NAMED
 from koop_bag.bag.info import describe
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.run_folder import git_revision
+from koop_core.ended import PATH
 from koop_node.node.managed import message_type
 from koop_node.node.rclpy_internals import announce_parameters
 
@@ -425,6 +427,31 @@ def test_the_recording_around_a_trip_of_the_guard_is_kept_for_good(tmp_path):
     assert numbers[0] < 95
     assert 104 < numbers[-1] < 150
     assert [topic for topic, _ in actual].count(guard) == 3
+
+
+@pytest.mark.parametrize(
+    ("status", "reason", "end", "kept"),
+    [
+        (2, "the loop ends", "the loop ends", False),
+        (2, "the guard ends", "the loop ends", False),
+        (2, "x on /rig is not a finite number", "the loop ends", True),
+        (1, "", "koop_guard was killed by signal 9", True),
+    ],
+)
+def test_a_ring_keeps_the_end_of_a_loop_that_failed_not_of_one_in_order(
+    tmp_path, monkeypatch, status, reason, end, kept
+):
+    """Failed before: a stopped run was kept, at the cost of runs whose guard was killed."""
+    (tmp_path / "ended").write_text(end)
+    monkeypatch.setenv(PATH, str(tmp_path / "ended"))
+    with Recorder(tmp_path / "run", "-p", "keep_size:=2.0") as recorder, Talker() as talker:
+        guard = "/koop_guard/state"
+        (state,) = talker.publishers({guard: "koop_msgs/msg/GuardState"}).values()
+        state.publish(state.msg_type(status=status, reason=reason, tripped_at=7.5))
+        recorder.wait_for(guard, 1)
+        recorder.stop()
+        assert recorder.process.returncode == 0, recorder.output()
+    assert (tmp_path / "run" / "bag" / NAMED).exists() == kept
 
 
 def test_damaged_messages_are_recorded_and_end_no_recording(tmp_path):

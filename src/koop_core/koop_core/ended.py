@@ -16,6 +16,7 @@ PATH = "KOOP_ENDED"
 """In the environment of a process: where who started it says why the loop ends. In memory: a
 process that returns theta must not wait for a disk."""
 IN_ORDER = "the loop ends"
+GUARD_IN_ORDER = "the guard ends"  # alone, as when it is deactivated
 KILLED = "the process that started the loop was killed"
 
 

@@ -26,6 +26,7 @@ from koop_bag.recorder.drain import Drain
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.summary import SummaryWriter
 from koop_bag.recorder.topics import RecordedTopic, fetch, skip, watch
+from koop_core.ended import GUARD_IN_ORDER, IN_ORDER, Told
 from koop_core.errors import KoopError
 from koop_core.journal import Journal, journal_of_process
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
@@ -62,6 +63,7 @@ class RecorderRun(Run):
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
         self._trips: dict[int, float] = {}  # time of a guard's last one by channel [s]
+        self._end = Told()
         chosen = wanted_topics(config.topics) or LOOP_TOPICS | COMMON_TOPICS
         self._awaited = {node.resolve_topic_name(name): kind for name, kind in chosen.items()}
         self._take_all = not config.topics.strip()
@@ -141,6 +143,7 @@ class RecorderRun(Run):
 
     def _release(self) -> None:
         """Release what is not an entity of the run, as far as it was made."""
+        self._end.close()
         self._collector.close()
         recorded = [topic.subscription for topic in self._topics.values()]
         for subscription in [*filter(None, recorded), *self._watched.values()]:
@@ -257,14 +260,18 @@ class RecorderRun(Run):
             self._summary.add(rows, now)
 
     def _is_new_trip(self, row: Row) -> bool:
-        """Return whether a message says that a guard has tripped; it may say so again."""
+        """Return whether a message says that a guard has tripped; it may say so again.
+
+        That theta returns at an orderly end is no trip.
+        """
         _, channel, _, data = row
         last_trip = self._trips.get(channel)
         state = None if last_trip is None else read_message(data, GuardState)
         if state is None:
             return False
         self._trips[channel] = state.tripped_at
-        return state.status == GuardState.TRIPPED and state.tripped_at != last_trip
+        orderly = state.reason in (IN_ORDER, GUARD_IN_ORDER)
+        return state.status == GuardState.TRIPPED and state.tripped_at != last_trip and not orderly
 
     def _finish_bag(self) -> None:
         if self._writer is None:
@@ -289,6 +296,8 @@ class RecorderRun(Run):
             if not topic.channel and topic.offered:
                 # a topic with publishers that stayed silent is part of the record
                 writer.add_topic(topic.name, topic.schema, topic.offered)
+        if self._summary is not None and self._end.why() != IN_ORDER:
+            writer.note_alarm()  # of a loop that failed: a guard that was killed says no trip
         writer.custom_data.update(self._custom_data())
         writer.close()
         if self._summary is not None:

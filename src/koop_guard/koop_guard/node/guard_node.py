@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from koop_core.config.knobs import format_knobs
-from koop_core.ended import IN_ORDER, Told
+from koop_core.ended import GUARD_IN_ORDER, IN_ORDER, Told
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import GHOST
@@ -172,7 +172,7 @@ class GuardRun(Run):
         guard, now = self._guard, time.monotonic()
         held = self._holds_at_end(_asked_to_end())
         if self._commands and not held and not guard.at_safe:
-            guard.note(Cause.ENDED, "the guard ends", now)
+            guard.note(Cause.ENDED, GUARD_IN_ORDER, now)
             self._announce()
             assert self._command is not None
             return_to_safe(guard, self._config, self._command, self._advance, self._last)
