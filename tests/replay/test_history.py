@@ -3,6 +3,8 @@
 import html
 import json
 import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -226,6 +228,19 @@ def test_what_a_guard_left_that_outlasted_its_recording_is_not_claimed(tmp_path,
     _, text = read_page(tmp_path / "history.html")
     assert "theta was last recorded at 0.64828, on its way to theta_safe or there" in text
     assert "the guard left" not in text
+
+
+def test_runs_of_the_simulated_plant_are_left_out_beside_those_of_a_rig(tmp_path, capsys):
+    """Failed before: the golden bag was mixed into the figures of an operator's rig."""
+    write_days(tmp_path / "mine", 0, 600)
+    golden = Path(__file__).parents[2] / "recordings" / "golden" / "run"
+    shutil.copytree(golden, tmp_path / "golden" / "run")
+    assert main(["report", str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    assert "recorded in 1 run, 100 % of the time" in told.out
+    assert f"{tmp_path / 'golden' / 'run'} is left out, its plant is simulated" in told.err
+    assert main(["report", str(tmp_path / "golden")]) == 0
+    assert "is left out" not in capsys.readouterr().err
 
 
 def test_a_trip_that_is_latched_over_restarts_is_one_event(tmp_path, capsys):

@@ -78,6 +78,8 @@ class RunSpan:
     closed: bool
     ended: Ended | None = None
     """What the run noted of its end; None: nothing, as of ``ros2 launch``."""
+    simulated: bool = False
+    """Whether its plant was the simulated one."""
 
 
 @dataclass
@@ -96,7 +98,7 @@ class History:
     models: list[tuple[float, str]]
     """Time [s since the epoch] from which on a model served the cost."""
     damaged: list[str]
-    """In words, the recordings of all loops that could not be read to their end."""
+    """In words, recordings that were left out, or could not be read to their end."""
 
 
 @dataclass
@@ -164,6 +166,11 @@ def read_history(paths: Sequence[Path], since: float | None = None) -> list[Hist
     runs = sorted((run for run in runs if run.end > 0.0), key=lambda run: run.begin)
     if not runs:
         raise _refuse(f"{paths[0]}: holds no recording with a message in it", parts)
+    if not all(run.simulated for run in runs):
+        for run in [run for run in runs if run.simulated]:
+            why = "its plant is simulated, that of others is a rig: name its folder alone"
+            parts.damaged[run.folder] = f"{run.folder} is left out, {why}"
+            runs.remove(run)
     end = max(run.end for run in runs)
     for run in [run for run in runs if run.end < CLOCK_SET < end]:
         why = "its clock was not set: name its folder alone"
@@ -211,7 +218,7 @@ def _find_whole(bag: Path) -> Path:
 
 
 def _look_at(folder: Path, parts: _Parts) -> RunSpan:
-    begin, end, closed = np.inf, 0.0, True
+    begin, end, closed, simulated = np.inf, 0.0, True, False
     for name in (SUMMARY, BAG):
         path = _find_whole(folder / name)
         if not any(path.glob("*.mcap*")):  # a later run's ring may have dropped them
@@ -223,10 +230,11 @@ def _look_at(folder: Path, parts: _Parts) -> RunSpan:
                     first = next(bag.messages(start=CLOCK_SET * SECOND)).log_time
                 begin, end = min(begin, first * 1e-9), max(end, last * 1e-9)
             closed = bag.complete
+            simulated |= any(node.endswith("/vdp_plant") for node in bag.parameters)
     ended = None
     with suppress(KoopError):  # it is torn: then nothing is known
         ended = read_end(folder / LOGS)
-    return RunSpan(folder, begin, end, closed, ended)
+    return RunSpan(folder, begin, end, closed, ended, simulated)
 
 
 def _read_run(run: RunSpan, parts: _Parts) -> None:
