@@ -260,6 +260,24 @@ def test_an_error_of_another_program_is_told_apart_from_the_health_of_the_loop(t
     )
 
 
+def test_the_status_of_a_healthy_loop_shows_what_its_nodes_warn_of(tmp_path):
+    """Failed before: it said "healthy", and the warnings were in the terminal of koop up alone."""
+    nodes = {"koopman_lifter": {}, "recorder": {}}
+    findings = {
+        "koopman_lifter": "koopman_lifter WARN: the rig has changed",
+        "recorder": "recorder WARN: bag/alarms is full",
+    }
+    progress = Progress(
+        levels=dict.fromkeys(nodes, 1), findings=findings, heard=dict.fromkeys(nodes, 1.0)
+    )
+    assert judge_health(progress, nodes, [], 2.0) == []
+    text = describe_loop(progress, [], nodes, tmp_path, True, 1.0, 2.0)
+    assert text.startswith(
+        "  healthy\n  koopman_lifter WARN: the rig has changed\n"
+        "  recorder WARN: bag/alarms is full\n  theta"
+    )
+
+
 @pytest.mark.parametrize(
     ("error", "failure"), [(None, ""), (KeyboardInterrupt, ""), (LiveError("no disk"), "no disk")]
 )

@@ -76,7 +76,7 @@ def describe_loop(
     running: float,
     now: float,
 ) -> str:
-    """Return the status of a loop: health, theta, rig, folder, recording and time.
+    """Return the status of a loop: health, warnings, theta, rig, folder, recording and time.
 
     Parameters
     ----------
@@ -106,6 +106,10 @@ def describe_loop(
         text for node, text in progress.told.items()
         if node not in values and progress.levels[node] > WARN
     ]  # fmt: skip
+    warnings = [
+        f"  {text}" for node, text in progress.told.items()
+        if node in values and progress.levels[node] == WARN and text not in faults
+    ]  # fmt: skip
     size = 0
     for file in (folder / "bag").glob("*"):
         with suppress(FileNotFoundError):  # the recorder drops the oldest
@@ -113,6 +117,7 @@ def describe_loop(
     return "\n".join(
         [
             "  " + ("not healthy: " + "; ".join(faults) if faults else "healthy"),
+            *warnings,
             ("  theta is not commanded yet" if status == "waiting" else f"  theta = {theta}")
             + f", guard {status}" * (guard is not None)
             + was,
