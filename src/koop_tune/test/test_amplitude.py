@@ -407,6 +407,22 @@ def test_an_oscillation_that_comes_and_goes_is_not_given_up_for_its_own_flank():
     assert weighs_at(amplitude, 0, 1.25)
 
 
+@pytest.mark.parametrize("depth", [3.0, 0.0])
+def test_an_oscillation_that_theta_orders_counts_though_it_differs_as_much_at_one_place(depth):
+    """Failed before: a faint line was all that was summed, and the rig called damped."""
+    rng = np.random.default_rng(2)
+    places = np.r_[np.linspace(0.0, 1.0, 24), [0.0, 0.5, 1.0, 0.0, 0.5, 1.0]]
+    places = places.round(1)  # three holds at each
+    sizes = np.exp(depth * np.abs(places - 0.5) + 0.45 * rng.standard_normal(places.size))
+    holds = [
+        hold(rng, [(4.0, size), (10.0, 2.0 * (0.5 + u))])
+        for u, size in zip(places, sizes, strict=True)
+    ]
+    amplitude = choose_amplitude(WINDOWS, holds, places=[([u], 1) for u in places])
+    assert weighs_at(amplitude, 0, 4.0) == (depth > 0.0)
+    assert weighs_at(amplitude, 0, 10.0)
+
+
 def test_a_hold_in_which_a_coarse_sensor_reads_one_value_tells_no_period():
     rng = np.random.default_rng(0)
     holds = [hold(rng, [(3.0, a)], noise=0.0) for a in (1.0, 0.5, 0.0)]

@@ -74,6 +74,9 @@ class AmplitudeSettings(Settings):
     comes: float = judged(
         0.25, "variance of a log power at one place over that of all holds, left out", low=0.0
     )
+    ordered: float = judged(
+        2.0, "standard deviations by which neighbours are alike that theta orders", low=0.0
+    )
     nearly_all: float = judged(
         0.97, "share of what moves that is kept though it comes and goes", low=0.0, high=1.0
     )
@@ -533,9 +536,11 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[Array, int]]) -> 
 
     An interference that comes and goes differs as much there as over the whole range, and as much
     from one place to the next: at most places at which theta was again, and more than one. A rig
-    that has two states at a theta, at rest and oscillating, differs there alone. A slow oscillation
-    that noise drives may differ at a place, too, but less from place to place. With hysteresis only
-    holds that theta came to from the same side are alike.
+    that has two states at a theta, at rest and oscillating, differs there alone. An oscillation
+    that noise drives, or that answers slowly, may differ at a place, too, but less from place to
+    place: by less than von Neumann's ratio of M values without order, 1 with a deviation of
+    1 / sqrt(M) (Annals of Mathematical Statistics 12 (1941) 367-395). With hysteresis only holds
+    that theta came to from the same side are alike.
     """
     at, level = np.array([[*u, side] for u, side in places]), np.log(mean)
     if not at.size:
@@ -547,14 +552,17 @@ def _repeats(mean: Array, error: Array, places: Sequence[tuple[Array, int]]) -> 
     if first.size < AMPLITUDE.pairs or not moved.any():
         return np.ones(mean.shape[1:], bool)
 
-    def differs(a: NDArray[np.intp], b: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def differs(
+        a: NDArray[np.intp], b: NDArray[np.intp], share: float = AMPLITUDE.comes
+    ) -> NDArray[np.bool_]:
         squares = (level[a] - level[b]) ** 2 - error[a] ** 2 - error[b] ** 2
-        return np.asarray(0.5 * squares.mean(axis=0) >= AMPLITUDE.comes * level.var(axis=0))
+        return np.asarray(0.5 * squares.mean(axis=0) >= share * level.var(axis=0))
 
     place = (apart < AMPLITUDE.same).argmax(axis=1)[first]  # the first hold there
     there = np.array([differs(first[place == k], again[place == k]) for k in np.unique(place)])
     often = (there.sum(axis=0) > 1) & (2 * there.sum(axis=0) >= there.shape[0])
-    return ~(often & differs(np.flatnonzero(moved), nearest[moved]))
+    ratio = max(AMPLITUDE.comes, 1.0 - AMPLITUDE.ordered / math.sqrt(moved.sum()))
+    return ~(often & differs(np.flatnonzero(moved), nearest[moved], ratio))
 
 
 def _is_most(mean: Array, part: NDArray[np.bool_], rest: NDArray[np.bool_]) -> bool:
