@@ -215,7 +215,7 @@ def test_a_time_that_is_too_short_is_refused_before_theta_moves(fast_rig, koop, 
         if "silent" not in error and "no message" not in error:
             break
     assert "periods of 0.05 s; which of them react" in out
-    assert re.search(r"of time = 10 in the rig file \d+ s are left: set time = \d+ or more", error)
+    assert re.search(r"of time = 10 in the rig file \d+ s are left: set time = \d+ in it", error)
     assert min(theta for _, theta in fast_rig.moved) == RIG.theta_safe  # on its way from 1.5
 
 

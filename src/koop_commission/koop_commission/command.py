@@ -93,10 +93,9 @@ class Commissioning:
         self._note = note_of(file)
         copy = folder / RIG
         folder.mkdir(parents=True, exist_ok=True)
-        checked = (folder / NAME).exists()  # until then the file may be mended
-        if not (checked and copy.exists()):
-            whole_file.write_bytes(copy, file.read_bytes())
-        progress.refuse_other_rig(copy, rig_file.read(copy), rig)
+        if (folder / NAME).exists() and copy.exists():  # until then the file may be mended
+            progress.refuse_other_rig(copy, rig_file.read(copy), rig)
+        whole_file.write_bytes(copy, file.read_bytes())
 
     def run(self) -> int:
         """Do what is left to be done; return the exit code."""

@@ -131,7 +131,8 @@ def test_each_stage_has_its_state_and_the_command_that_makes_it():
             1801.0,
             NO,
             "the 1800 s of the rig file were over before the static map was known: "
-            "set time = 2400 or more in it and run the same command again",
+            "set time = 4700 in it (it ends once the map is known, after 2400 s or more) and run "
+            "the same command again",
         ),
         (
             TIME,

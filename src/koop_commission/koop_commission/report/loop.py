@@ -28,7 +28,7 @@ COMPARED = (
     Column("amplitude", "amplitude after", ".3g"),
     Column("excess", "", ".3g"),
     Column("reduction", "", ".3g"),
-    Column("theta", "theta at the end", ".4g"),
+    Column("theta", "mean of theta", ".4g"),
     Column("swing", "its swing", ".3g"),
 )
 

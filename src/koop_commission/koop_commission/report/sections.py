@@ -73,8 +73,8 @@ def make_static_map(c: Contents) -> Section:
     title, several = "Amplitude against theta", c.rig.count > 1
     intro = (
         "The amplitude to which the rig settled at each hold of theta, with two standard errors "
-        "where they are known; 1 is the strongest motion seen. Curve and band: the map that fits, "
-        "within two standard errors; where the band is wide nobody has looked."
+        "where they are known, in units of each channel's strongest motion. Curve and band: the "
+        "map that fits, within two standard errors; where the band is wide nobody has looked."
     )
     if several:
         intro += " Each knob alone is moved through the best of all, where the others stay."

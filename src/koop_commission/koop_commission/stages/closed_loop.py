@@ -125,7 +125,7 @@ class ClosedLoop:
             seconds = min(aim.settings.longer * seconds, aim.longest)
             how = f"not yet, {lacks[0]}: the loop stays closed"
         tqdm.write(
-            f"theta is held at {spell(measured.theta)}, where the loop ended: "
+            f"theta is held at {spell(measured.theta)}, its mean in the second half of the loop: "
             f"{spell_time(aim.time + rest * dt, self.rig.pace)} until it is known what is left",
         )
         session.go(measured.theta)

@@ -232,13 +232,13 @@ class Excitation:
         else:
             tqdm.write(
                 f"time = {rig.time:g} in the rig file is too short for the whole map: "
-                f"{self._state.longer}, now or when it is over",
+                f"{self._state.longer} when it is over; the same command then goes on",
             )
         tqdm.write(
             f"theta goes {first * (self._design.left > 0)}to where it tells most about the best "
             f"value: {needed}at most {spell_time(left, rig.pace)}; "
             f"Ctrl-C ends it, theta returns to {rig.spell('theta_safe')} within {back:.2g} s here\n"
-            "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
+            "[s] of the rig's time; amplitude in units of each channel's strongest motion so far",
         )
 
     def _hold(self, move: KnobsMove) -> bool:
@@ -282,8 +282,8 @@ class Excitation:
         *before, level = design.levels()
         if before and abs(before[-1].mean - self._said) > DESIGN.redefined + before[-1].error:
             tqdm.write(
-                f"from here the amplitude is that of {amplitude.name(rig.names)}, in units of each "
-                f"channel's strongest motion: the hold before has {math.exp(before[-1].mean):.3g}"
+                f"from here the amplitude is that of {amplitude.name(rig.names)}, in other "
+                f"units than above: the hold before has {math.exp(before[-1].mean):.3g}"
             )
         self._said = level.mean
         doubt = f"{100.0 * level.error:.2g} %" if level.error < 1.0 else "unknown"

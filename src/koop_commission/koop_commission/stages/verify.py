@@ -162,7 +162,7 @@ def format_round(item: Round, sense: float) -> str:
         row("|theta - theta*| [% of range]", [run.distance for run in runs], p.distance, 100.0),
         row(excess, [run.excess for run in runs], p.excess),
         row(reduction, [run.reduction for run in runs], p.reduction),
-        ["theta at the end", *(spell(run.theta) for run in runs), ""],
+        ["mean of theta", *(spell(run.theta) for run in runs), ""],
         ["swing of theta", *(format_knobs(run.swing, ".3g") for run in runs), ""],
     ]
     starts = [f"from {spell(run.start)}" for run in item.runs]

@@ -93,7 +93,10 @@ class ExcitationProgress:
     @property
     def longer(self) -> str:
         """What to do where the rig file's time is too short, in words."""
-        return f"set time = {round_up(self.needed):g} or more in it"
+        least, most = (round_up(factor * self.needed) for factor in (1.0, 2.0))
+        return (
+            f"set time = {most:g} in it (it ends once the map is known, after {least:g} s or more)"
+        )
 
     def describe_end(self, rig: RigFile) -> str:
         """Return in words why it ended before the map was known."""

@@ -40,7 +40,7 @@ def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
             [
                 f"{theta:.4g}",
                 f"{amplitude:.4g}",
-                f"{100 * error:.2g} %" if error < 1 else "> 100 %",
+                f"{100 * error:.2g} %" if error < 1 else "unknown",
             ]
             for theta, amplitude, error in zip(*each.holds, strict=True)
         ]
