@@ -213,6 +213,7 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         )
     guarded = not simulated and file is not None and file.describes(f"{namespace}/koop_guard")
     if file is not None and not simulated and not guarded:
+        file.refuse_nearly(f"{namespace}/koop_guard", EXECUTABLES)
         notes.append(
             f"{file.path}: has no section koop_guard: whatever fails, the rig keeps the last theta"
         )

@@ -242,6 +242,12 @@ def test_a_section_that_would_be_ignored_beside_valid_ones_is_refused(mine, text
         plan({**mine(valid + text), "namespace": "rig1", "record": "true", "plant": "true"})
 
 
+def test_a_misspelt_guard_does_not_leave_the_rig_without_one(mine):
+    text = "/**/relay_esc: {ros__parameters: {dwell: 2.0}}\n/**/koop_gaurd: {ros__parameters: {}}"
+    with pytest.raises(ConfigError, match="did you mean '/\\*\\*/koop_guard'"):
+        plan(mine(text))
+
+
 def test_sections_of_other_programs_are_not_minded(mine):
     text = "/**/driver: {ros__parameters: {gain: 1.0}}\n/**/camera: {ros__parameters: {a: 1}}\n"
     assert plan({**mine(text + MINE)}).parameters["relay_esc"] == {"use_sim_time": False}

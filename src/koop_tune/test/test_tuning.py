@@ -9,6 +9,7 @@ import pytest
 from surrogate_rigs import FREQUENCY, make_cost, make_findings, make_map, make_task
 
 from koop_core.config.objects import to_json
+from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import write_json
 from koop_guard.config import GUARD, GuardConfig
 from koop_loop import parameters
@@ -132,6 +133,9 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     lines = [line for line in path.read_text().splitlines() if line.lstrip().startswith("# Here:")]
     assert len(lines) == sum(map(len, listed.values()))
     assert f"{c.omega_h / (2 * math.pi * FREQUENCY):.3g} times" in path.read_text()
+    path.write_text(path.read_text().partition("/**/koop_guard")[0])  # a copy that was cut off
+    with pytest.raises(ConfigError, match="is cut off"):
+        parameters.read(path, GUARD)
 
 
 def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, tmp_path):

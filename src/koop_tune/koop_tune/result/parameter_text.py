@@ -21,8 +21,10 @@ OF_A_RIG = ("koopman_lifter", "relay_esc", "recorder", "rig")
 OF_RIG = "as the rig file says"
 DWELLS = 10.0  # in which a controller that nobody has tuned crosses theta's range, as the paper's
 HEAD = """\
+---
 # Parameters of the nodes: each with its meaning, what it may be, and its default. Change what your
-# rig needs; what you delete stays the default. dt must be the same in every section. Start with
+# rig needs; what you delete stays the default. dt must be the same in every section. A file that
+# does not end with '...' is refused: it was cut off. Start with
 #
 #   ./koop up FILE
 #   ros2 launch koop_bringup closed_loop.launch.py params:=FILE record:=true
@@ -46,7 +48,7 @@ def annotated(nodes: Iterable[str], listed: Mapping[str, Parameters]) -> str:
         }
         for i in (0, 1)
     )
-    return HEAD + parameter_file({node: KNOWN[node] for node in nodes}, values, reasons)
+    return HEAD + parameter_file({node: KNOWN[node] for node in nodes}, values, reasons) + "...\n"
 
 
 def list_lifter(rig: RigFile) -> Parameters:
