@@ -231,8 +231,8 @@ class Excitation:
             needed = f"at least {round_up(whole):g} s if what was heard is what it moves, "
         else:
             tqdm.write(
-                f"time = {rig.time:g} in the rig file is too short for the whole map: "
-                f"{self._state.longer} when it is over; the same command then goes on",
+                f"time = {rig.time:g} in the rig file is too short for the whole map: once it is "
+                f"over, {self._state.longer} and run the same command again",
             )
         tqdm.write(
             f"theta goes {first * (self._design.left > 0)}to where it tells most about the best "
