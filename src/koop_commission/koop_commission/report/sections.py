@@ -24,6 +24,7 @@ from koop_commission.report.spectra import make_spectra
 from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import spec_of
 from koop_core.errors import InputError
+from koop_tune.excitation.holds import spell_error
 from koop_tune.excitation.static_map import MAP, times_best
 from koop_tune.result.tune_result import Points
 from koop_tune.rig.rig_file import RigFile, as_values
@@ -161,13 +162,13 @@ def _list_holds(c: Contents) -> Table:
         Column("hold", "hold"),
         Column("theta", "theta", words=c.rig.count > 1),
         Column("amplitude", "amplitude", ".3g"),
-        Column("error", "standard error [%]", ".2g"),
+        Column("error", "standard error", words=True),
         Column("settled", "settled after [s]", ".3g"),
         Column("seconds", "held [s]", ".3g"),
         Column("why", "why there", words=True),
     )
     rows: Rows = [
-        (k, format_knobs(h.theta, ".4g"), math.exp(h.level), 100.0 * h.error, *h[3:])
+        (k, format_knobs(h.theta, ".4g"), math.exp(h.level), spell_error(h.error), *h[3:])
         for k, h in enumerate(c.excitation.holds, 1)
     ]
     return Table("holds", "Holds of the excitation, in order", columns, rows, detail=True)

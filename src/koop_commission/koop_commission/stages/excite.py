@@ -29,6 +29,7 @@ from koop_core.errors import KoopError, LiveError
 from koop_guard.note import note_of
 from koop_tune.excitation import progress as progress_file
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME
+from koop_tune.excitation.holds import spell_error
 from koop_tune.excitation.knobs_design import KnobsDesign, KnobsMove, RecordedHold
 from koop_tune.excitation.progress import ExcitationProgress, HoldSummary, SectionLine, round_up
 from koop_tune.rig import rig_file
@@ -286,8 +287,8 @@ class Excitation:
                 f"units than above: the hold before has {math.exp(before[-1].mean):.3g}"
             )
         self._said = level.mean
-        doubt = f"{100.0 * level.error:.2g} %" if level.error < 1.0 else "unknown"
-        tqdm.write(f"{said}{math.exp(level.mean):<7.3g} +- {doubt:<6}  ({move.why})")
+        error = spell_error(level.error)
+        tqdm.write(f"{said}{math.exp(level.mean):<7.3g} +- {error:<6}  ({move.why})")
 
     def _show(self) -> None:
         holds = f"{len(self._design.held)} holds, {self._design.left} or more to go"

@@ -166,16 +166,12 @@ def read_history(paths: Sequence[Path], since: float | None = None) -> list[Hist
     runs = sorted((run for run in runs if run.end > 0.0), key=lambda run: run.begin)
     if not runs:
         raise _refuse(f"{paths[0]}: holds no recording with a message in it", parts)
-    if not all(run.simulated for run in runs):
-        for run in [run for run in runs if run.simulated]:
-            why = "its plant is simulated, that of others is a rig: name its folder alone"
-            parts.damaged[run.folder] = f"{run.folder} is left out, {why}"
-            runs.remove(run)
+    simulated = [run for run in runs if run.simulated]
+    if len(simulated) < len(runs):
+        _leave_out(simulated, "its plant is simulated, that of others is a rig", runs, parts)
     end = max(run.end for run in runs)
-    for run in [run for run in runs if run.end < CLOCK_SET < end]:
-        why = "its clock was not set: name its folder alone"
-        parts.damaged[run.folder] = f"{run.folder} is left out, {why}"
-        runs.remove(run)
+    unset = [run for run in runs if run.end < CLOCK_SET < end]
+    _leave_out(unset, "its clock was not set", runs, parts)
     start = math.floor(min(run.begin for run in runs) if since is None else end - since)
     runs = [replace(run, begin=max(run.begin, start)) for run in runs if run.end > start]
     parts.width, parts.start = SHORT if end - start < LONG else FINE, start * SECOND
@@ -208,6 +204,13 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
 
 def _refuse(why: str, parts: _Parts) -> InputError:
     return InputError("; ".join([why, *[*parts.damaged.values()][:1]]))
+
+
+def _leave_out(some: list[RunSpan], why: str, runs: list[RunSpan], parts: _Parts) -> None:
+    """Take some of the runs out, and note why."""
+    for run in some:
+        parts.damaged[run.folder] = f"{run.folder} is left out, {why}: name its folder alone"
+        runs.remove(run)
 
 
 def _find_whole(bag: Path) -> Path:

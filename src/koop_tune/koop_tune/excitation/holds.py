@@ -167,6 +167,15 @@ class Level:
         return replace(self, error=math.sqrt(max(self.wander, wander) / (self.count - self.skip)))
 
 
+def spell_error(error: float) -> str:
+    """Return the standard error of a log amplitude in words.
+
+    >>> spell_error(0.021), spell_error(2.0)
+    ('2.1 %', 'unknown')
+    """
+    return f"{100.0 * error:.2g} %" if error < 1.0 else "unknown"
+
+
 def find_level(amplitude: Amplitude, squares: Array) -> Level:
     """Return the level of the windows of one hold.
 

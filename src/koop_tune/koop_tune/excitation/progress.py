@@ -93,9 +93,9 @@ class ExcitationProgress:
     @property
     def longer(self) -> str:
         """What to do where the rig file's time is too short, in words."""
-        least, most = (round_up(factor * self.needed) for factor in (1.0, 2.0))
         return (
-            f"set time = {most:g} in it (it ends once the map is known, after {least:g} s or more)"
+            f"set time = {round_up(2.0 * self.needed):g} in it (it ends once the map is known, "
+            f"after {round_up(self.needed):g} s or more)"
         )
 
     def describe_end(self, rig: RigFile) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from koop_core.text_table import table
+from koop_tune.excitation.holds import spell_error
 from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.excitation.static_map import MAP
 from koop_tune.result.parameter_text import (
@@ -37,11 +38,7 @@ def as_table(result: TuneResult, names: Sequence[str] = ("theta",)) -> str:
     ]
     for k, each in result.maps.items():
         rows = [
-            [
-                f"{theta:.4g}",
-                f"{amplitude:.4g}",
-                f"{100 * error:.2g} %" if error < 1 else "unknown",
-            ]
+            [f"{theta:.4g}", f"{amplitude:.4g}", spell_error(error)]
             for theta, amplitude, error in zip(*each.holds, strict=True)
         ]
         of, at = (f"{names[k]}: ", ", the others at theirs") if len(names) > 1 else ("", "")
