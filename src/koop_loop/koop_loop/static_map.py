@@ -37,6 +37,12 @@ def settled(
     return r[round(SETTLING / plant.dt) :]
 
 
+def optimal_cost(parameters: LoopParameters, model: KoopmanModel | None) -> float:
+    """Return r*, the cost where theta rests at theta*; of several knobs, where the first does."""
+    theta_star = parameters.plant.knob(0, coupling=()).theta_star
+    return float(np.nanmean(settled(parameters, model, theta_star)))
+
+
 def performance(
     parameters: LoopParameters,
     model: KoopmanModel | None,
@@ -48,6 +54,5 @@ def performance(
 
     Time [s], control input and cost as :func:`koop_loop.metrics.evaluate` takes them.
     """
-    at_optimum = settled(parameters, model, parameters.plant.knob(0, coupling=()).theta_star)
-    r_star = float(np.nanmean(at_optimum))
+    r_star = optimal_cost(parameters, model)
     return evaluate(t, theta, r, parameters.plant.theta_star, r_star)

@@ -6,6 +6,7 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from tqdm import tqdm
@@ -24,6 +25,7 @@ from koop_lab.recorded.report import describe, figures, read
 from koop_loop import parameters as loop_parameters
 from koop_loop.metrics import PAPER_DURATION
 from koop_loop.parameters import LoopParameters
+from koop_loop.static_map import optimal_cost
 from vdp_plant.config import pace_values
 
 BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
@@ -59,6 +61,8 @@ def main(args: argparse.Namespace) -> int:
     model = parameters.load_model()
     cost = cost_name(parameters.lifter.cost, model)
     folder = args.out or default_folder("demo")
+    # r* needs a kernel of its own, which is compiled beside the nodes' and not after them
+    Thread(target=optimal_cost, args=(parameters, model), daemon=True).start()
     print(f"{parameters.pace.duration:g} s of the {cost} cost at pace {parameters.pace.pace}")
     try:
         with served(args.serve, folder / "logs"):
