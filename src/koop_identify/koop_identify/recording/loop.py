@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.columns import Columns, read_columns
+from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
@@ -119,12 +119,8 @@ def read_loop(
                 f"{bag}: no states of a loop on {base}/state. For other messages name the fields: "
                 f"--measured /TOPIC:FIELD,FIELD. It has {others or 'no messages'}"
             )
-        columns: dict[str, Columns] = {}
         inactive = {name: reader.inactive_steps(f"{base}/{name}") for name in FIELDS}
-        for name, fields in FIELDS.items():
-            topic = f"{base}/{name}"
-            if topic in present:
-                columns[name] = _columns(reader, topic, [*fields, "log_time"])
+        columns = _columns(reader, base, [name for name in FIELDS if f"{base}/{name}" in present])
         if commands and {c.topic for c in commands} <= {*present} - {f"{base}/theta"}:
             columns["state"]["commanded"] = theta_at(reader, f"{base}/state", commands)
         trips = None
@@ -151,19 +147,21 @@ def _take_guard(state: Columns, guard: Columns) -> Trips | None:
     return Trips(how_often, guard["reason"][last], 1e-9 * times[last] - ago, rearmed)
 
 
-def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
-    """Read a topic; a state of another length than most, which has no use, is a row of NaN."""
+def _columns(bag: BagReader, base: str, names: list[str]) -> dict[str, Columns]:
+    """Read topics; a state of another length than most, which has no use, is a row of NaN."""
+    wanted = {f"{base}/{name}": [*FIELDS[name], "log_time"] for name in names}
     try:
-        return read_columns(bag, topic, names)
+        return dict(zip(names, read_tables(bag, wanted).values(), strict=True))
     except BagError:
-        if "x" not in names:
-            raise
-    elements = [f"x[{i}]" for i in range(MAX_FIELDS)]  # NaN where a message has none
-    columns = read_columns(bag, topic, [*(name for name in names if name != "x"), *elements])
-    x = np.stack([columns.pop(name) for name in elements], axis=1).astype(np.float64)
+        elements = [f"x[{i}]" for i in range(MAX_FIELDS)]  # NaN where a message has none
+        wanted[f"{base}/state"] = [*(n for n in wanted[f"{base}/state"] if n != "x"), *elements]
+        columns = dict(zip(names, read_tables(bag, wanted).values(), strict=True))
+    state = columns["state"]
+    x = np.stack([state.pop(name) for name in elements], axis=1).astype(np.float64)
     n = int(np.median((~np.isnan(x)).sum(axis=1)))
     x[~np.isnan(x[:, n:]).all(axis=1)] = np.nan
-    return {**columns, "x": x[:, :n]}
+    state["x"] = x[:, :n]
+    return columns
 
 
 def _align(
