@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from koop_bag_messages import LOOP, PERIOD, START
 from mcap.records import Statistics
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.info import as_text, describe
@@ -161,6 +161,35 @@ def test_a_torn_bag_is_read_up_to_its_last_complete_chunk_wherever_it_is_torn(wr
         counts.append(len(actual))
     assert counts == sorted(counts)
     assert counts[-1] > 2000
+
+
+@pytest.mark.parametrize("indexes", [IndexType.ALL, IndexType.NONE])
+def test_a_seldom_topic_is_found_wherever_the_file_is_torn(tmp_path, messages, indexes):
+    """By the indexes behind the chunks, of which a torn file has only some."""
+    path = tmp_path / "foreign.mcap"
+    with open(path, "wb") as stream:
+        writer = Writer(stream, 1024, CompressionType.NONE, index_types=indexes)
+        writer.start("ros2")
+        schema = load_schema(LOOP["/state"])
+        number = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+        often, seldom = (writer.register_channel(name, "cdr", number) for name in ("/a", "/b"))
+        for k in range(160):
+            channel = often if k % 40 else seldom
+            writer.add_message(channel, START, messages.loop("/state", k), START, k)
+        writer.finish()
+    whole = path.read_bytes()
+    for size in (*range(9, len(whole), 29), len(whole)):  # an index has at least 31 bytes
+        path.write_bytes(whole[:size])
+        with BagReader(path) as reader:
+            expected = [m for m in reader.messages() if m.topic == "/b"]
+            assert not expected or list(reader.messages(["/b"])) == expected
+    assert [m.sequence for m in expected] == [0, 40, 80, 120]
+    path.write_bytes(whole.replace(messages.loop("/state", 60), messages.loop("/state", 61)))
+    with BagReader(path) as reader:
+        if indexes is IndexType.ALL:  # a damaged chunk without it is not even read
+            assert list(reader.messages(["/b"])) == expected
+        with pytest.raises(BagError, match="damaged"):
+            list(reader.messages())
 
 
 def test_a_file_that_lost_power_left_empty_hides_no_other(write_loop):

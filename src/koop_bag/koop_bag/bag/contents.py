@@ -1,7 +1,7 @@
 """Contents of one file of a bag."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
 from mcap.opcode import Opcode
@@ -10,6 +10,7 @@ from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD, McapFile, Place
 
 _NOTED = (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
+_CHANNEL = struct.Struct("<H")  # of an index
 _CHUNK_TIMES = struct.Struct("<QQ")  # of its first and its last message
 
 
@@ -84,15 +85,28 @@ def _note(contents: FileContents, opcode: int, data: bytes, where: int) -> None:
             contents.description = metadata.metadata.get("serialized_metadata", "")
 
 
-def message_records(file: McapFile, start: int) -> Iterator[bytes]:
-    """Yield records that hold messages: the inside of each chunk, or a message outside of any."""
+def message_records(file: McapFile, start: int, channels: Collection[int]) -> Iterator[bytes]:
+    """Yield records that hold messages: the inside of each chunk, or a message outside of any.
+
+    A chunk that ends before ``start`` [ns], or whose indexes name none of the channels, is passed
+    over, unread. Indexes count only where another record follows them: a torn file may lack some.
+    """
+    chunk, indexed = None, set[int]()
     for place in file.places():
+        if place.opcode == Opcode.MESSAGE_INDEX:
+            head = file.content(place._replace(length=min(place.length, _CHANNEL.size)))
+            indexed |= {*file.unpack(_CHANNEL, head, place.start)}
+            continue
+        if chunk is not None and (not indexed or not indexed.isdisjoint(channels)):
+            yield file.chunk_records(chunk)
+        chunk, indexed = None, set()
         if place.opcode == Opcode.MESSAGE:
             yield RECORD_HEAD.pack(place.opcode, place.length) + file.content(place)
         elif place.opcode == Opcode.CHUNK:
             head = file.content(place._replace(length=min(place.length, _CHUNK_TIMES.size)))
             _, last = file.unpack(_CHUNK_TIMES, head, place.start)
-            if last >= start:
-                yield file.chunk_records(place)
+            chunk = place if last >= start else None
         elif place.opcode == Opcode.DATA_END:
             return
+    if chunk is not None:
+        yield file.chunk_records(chunk)

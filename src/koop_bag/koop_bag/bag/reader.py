@@ -171,7 +171,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     ) -> Iterator[tuple[bytes, dict[int, str]]]:
         """MCAP records chunk by chunk, each with the wanted channels' topics.
 
-        Chunks without a message from `start` on are passed over, unread.
+        Chunks without a message of these, or from `start` on, are passed over, unread.
         """
         for item in self._contents:
             wanted = {
@@ -181,7 +181,7 @@ class BagReader(AbstractContextManager["BagReader"]):
             }
             if not any(item.counts.get(number) for number in wanted):
                 continue
-            for records in message_records(item.file, start):
+            for records in message_records(item.file, start, wanted):
                 yield records, wanted
 
     def close(self) -> None:
