@@ -96,10 +96,13 @@ def refused(port, **options):
 
 
 def test_the_page_is_on_the_same_port(port):
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/#token=x") as answer:
+    headers = {"Origin": "http://evil.example"}  # the page alone tells nothing
+    page = urllib.request.Request(f"http://127.0.0.1:{port}/#token=x", headers=headers)
+    with urllib.request.urlopen(page) as answer:
         assert b"<!doctype html>" in answer.read().lower()[:100]
         assert "script-src 'sha256-" in answer.headers["Content-Security-Policy"]
         assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+        assert "Access-Control-Allow-Origin" not in answer.headers
     with pytest.raises(HTTPError, match="404"):
         urllib.request.urlopen(f"http://127.0.0.1:{port}/etc/passwd")
     rebound = HTTPConnection("127.0.0.1", port)
