@@ -297,6 +297,14 @@ def _check(
                 f"knobs differ: the command of koop_guard {guard.count}, relay_esc {esc.count}: "
                 "theta_initial and the like are lists with one number for each"
             )
+        allowed = zip(guard.each("theta_min"), guard.each("theta_max"), strict=True)
+        for i, (low, high) in enumerate(allowed):
+            least, most = esc.knob(i).limits
+            if least < low or high < most:
+                raise ConfigError(
+                    f"relay_esc seeks {guard.knob_names[i]} in [{least:g}, {most:g}], of which "
+                    f"koop_guard allows [{low:g}, {high:g}]: narrow theta_min, theta_max and widest"
+                )
     lifter = configs["koopman_lifter"]
     load_for(lifter[LifterConfig], lifter[ModelConfig])
     if "recorder" in configs:

@@ -103,6 +103,10 @@ def test_a_guard_alone_commands_the_rig(mine, command, remaps):
     two = "relay_esc: {ros__parameters: {theta_initial: [1.0, 2.0]}}"
     with pytest.raises(ConfigError, match="knobs differ: the command of koop_guard 1, relay_esc 2"):
         plan(mine(guard + two))
+    for wide in ("theta_max: 3.1", "theta_min: -1.0, theta_max: 2.0, widest: [-1.0, 3.1]"):
+        esc = f"relay_esc: {{ros__parameters: {{{wide}}}}}"
+        with pytest.raises(ConfigError, match=r"3\.1\], of which koop_guard allows \[-5, 3\]"):
+            plan(mine(guard.replace("'}}", "', theta_max: 3.0}}") + esc))
     planned = plan(
         mine(guard.replace(":data", ":a,b").replace("'}}", "', theta_rate: [1.0, 0.5]}}") + two)
     )
