@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from koop_bag.bag.earlier import NAMED
 from koop_bag.bag.reader import BagReader
 from koop_core.config import parameter_file
 from koop_tune.rig.rig_file import as_values
@@ -168,6 +169,7 @@ def test_a_recording_holds_how_theta_returned_when_the_guard_was_killed(nodes_of
             name: as_values(RIG)[name]
             for name in ("measured", "command", "dt", "theta_start")
         } | {"theta_min": 0.4, "theta_max": 1e3, "theta_rate": 0.2, "theta_safe": RIG.theta_safe},
+        "recorder": {"keep_size": 1000.0},
     }  # fmt: skip
     parameter_file.write(values, tmp_path / "loop.yaml")
     rig = FastRig()
@@ -181,6 +183,7 @@ def test_a_recording_holds_how_theta_returned_when_the_guard_was_killed(nodes_of
         rig.close()
     assert (process.returncode, rig.theta) == (1, RIG.theta_safe), printed
     assert "koop_guard was killed by signal 9" in printed
+    assert (tmp_path / "run" / "bag" / NAMED).exists()  # failed before: it was an orderly end
     with BagReader(tmp_path / "run" / "bag") as bag:
         *_, last = bag.messages(["/fast/knob"])
     assert struct.unpack("<d", last.data[4:]) == (RIG.theta_safe,)

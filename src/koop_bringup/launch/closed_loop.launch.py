@@ -39,8 +39,10 @@ from launch_ros.actions import Node
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments, return_time
 from koop_core.config.parameter_file import write
+from koop_core.ended import PATH
 from koop_core.journal import make_journal
 from koop_guard.config import SAFETY
+from koop_guard.node.memory_file import open_memory_file
 from koop_guard.note import TWIN
 from koop_loop.ending import Ending, describe_end, ending
 from koop_node.client.alone import TOPICS, alone, is_claimed
@@ -89,7 +91,7 @@ def _start(context: LaunchContext) -> list:
         "sigterm_timeout": str(STOP_TIMEOUT + returning),
         "prefix": LaunchConfiguration("launch-prefix", default=""),
     }
-    environment = {**TIED, **planned.environment}
+    environment = {**TIED, **planned.environment, **loop.told_by}
     if planned.journaled:
         environment |= loop.make_journal()
     files = [item for item in of_group if not isinstance(item, tuple)]
@@ -166,6 +168,10 @@ class _Loop:
         self._failure = ""  # why the launch is to end with exit code 1
         self._place = ExitStack()
         self._place.enter_context(place)
+        self._told, self.told_by = -1, {}  # where the nodes find why the loop ends
+        with suppress(OSError):
+            self._told = self._place.enter_context(open_memory_file("koop_ended")).fileno()
+            self.told_by = {PATH: f"/proc/{os.getpid()}/fd/{self._told}"}
 
     def make_journal(self) -> dict[str, str]:
         """Make a journal for as long as the loop lasts; return what its processes know it by."""
@@ -193,6 +199,8 @@ class _Loop:
                 get_logger("launch").info(f"{text}: the loop ends")
                 if kind_of_end is Ending.FAILED:
                     self._failure = text
+                    if self._told >= 0 and self._ended < len(self.processes):
+                        os.pwrite(self._told, text.encode(), 0)
                 actions = self._end(event, kind_of_end is Ending.DONE)
             if context.is_shutdown:
                 self._raise()
