@@ -712,6 +712,8 @@ def test_a_rigs_program_hears_theta_return_before_it_is_ended(
     assert process.wait(LONG) == 0
     assert (theta() == SAFE) == (not code)
     assert said in process.stderr.read()
+    lines = (tmp_path / "run" / "logs" / "koop_guard.log").read_text().splitlines()
+    assert not [line for line in lines if "ERROR" in line and "the loop ends" in line]
 
 
 def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(koop, nodes_of, probe, tmp_path):

@@ -248,6 +248,8 @@ class GuardRun(Run):
             why = f"tripped: {trip.reason}, at {when}" + f"; {unknown}" * bool(unknown)
             why += self._describe_rearms()
             values["rearm_refused"] = refusal
+            if self._ends_in_order(trip):
+                return OK, self._describe_return(trip), values
             if refusal:
                 return ERROR, f"no rearm now: {refusal}; {why}", values
             return ERROR, f"{why}; rearm it: koop status --rearm, or the page", values
@@ -258,6 +260,14 @@ class GuardRun(Run):
         if unknown:
             return WARN, unknown, values
         return OK, "moves theta to ~/target" if self._to_target else "following", values
+
+    def _ends_in_order(self, trip: Trip) -> bool:
+        """Return whether it is an end that is no failure, of which SIGTERM tells."""
+        return trip.cause is Cause.ENDED and _asked_to_end() != signal.SIGTERM
+
+    def _describe_return(self, trip: Trip) -> str:
+        how = "is at" if self._guard.at_safe else "returns to"
+        return f"theta {how} {self._safe}: {trip.reason}"
 
     def _describe_rearms(self) -> str:
         """Say when the guard rearms itself, and how often it does."""
@@ -506,14 +516,12 @@ class GuardRun(Run):
         said = self._news()
         if said != self._said or message.rearm_refused != self._refused:
             if trip is not None and guard.status is Status.TRIPPED and said != self._said:
-                self._node.get_logger().error(
-                    f"theta {'is at' if guard.at_safe else 'returns to'} {self._safe}: "
-                    f"{trip.reason}"
-                )
-                is_new = trip is not self._latched  # whose alarm was before the restart
-                has_failed = _asked_to_end() == signal.SIGTERM  # the loop, which ends
-                if is_new and (trip.cause is not Cause.ENDED or has_failed):
-                    self._alarm.start(trip, self._node.get_fully_qualified_name())
+                if self._ends_in_order(trip):
+                    self._node.get_logger().info(self._describe_return(trip))
+                else:
+                    self._node.get_logger().error(self._describe_return(trip))
+                    if trip is not self._latched:  # whose alarm was before the restart
+                        self._alarm.start(trip, self._node.get_fully_qualified_name())
             self._said, self._refused = said, message.rearm_refused
             self._state.publish(message)
             if self._keeper is not None:
