@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import judged
 
+ROUNDED = 1e-9  # share of the range that is nothing
+
 
 @dataclass(frozen=True)
 class Scale:
@@ -45,8 +47,13 @@ class Scale:
         return np.asarray(self.low + np.asarray(u) * self.span)
 
     def theta_at(self, u: float) -> float:
-        """Return theta at one position."""
-        return float(self.theta(np.array(u)))
+        """Return theta at one position; 0 where rounding leaves next to nothing of it.
+
+        >>> Scale(-1.0, 2.0).theta_at(1.0 / 3.0 + 1e-16)
+        0.0
+        """
+        theta = float(self.theta(np.array(u)))
+        return 0.0 if abs(theta) < ROUNDED * self.high - ROUNDED * self.low else theta
 
     def step_away(self, theta: float, share: float) -> float:
         """Return the value that is a share of the range from theta, towards the limit further off.
