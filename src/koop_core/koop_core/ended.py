@@ -27,7 +27,7 @@ class Ended:
     time: float = 0.0
     """When [s since the epoch]; 0: not yet, or it was killed."""
     failure: str = ""
-    """Why it ended, in words; empty: in order."""
+    """Why it ended, in words; empty: in order, or it has no time yet."""
     theta: str = ""
     """Where theta of a guarded rig was left, in words."""
     lost: tuple[tuple[float, str], ...] = ()
