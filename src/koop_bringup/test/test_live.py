@@ -10,6 +10,7 @@ from contextlib import suppress
 
 import pytest
 
+from koop_bag.bag.earlier import NAMED
 from koop_bringup.live.health import describe_loop, judge_health
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.monitor import Progress
@@ -297,7 +298,10 @@ def test_the_logs_note_how_a_loop_ended_and_before_that_it_did_not(
 def test_a_node_that_ended_is_noted_as_the_failure_or_as_lost(tmp_path):
     for role, rig in (("relay_esc", True), ("recorder", True)):
         folder = tmp_path / role
-        (folder / "logs").mkdir(parents=True)
+        for name in ("logs", "bag", "summary"):  # as of a ring
+            (folder / name).mkdir(parents=True)
+        for number in range(9, 12):
+            (folder / "bag" / f"bag_{number}.mcap").touch()
         run = LiveNodes(folder, Plan({role: {}}, rig=rig))
         run._nodes[role] = node = NodeProcess(
             role, ["import os; os.kill(os.getpid(), 9)"], folder / "log", [sys.executable, "-c"]
@@ -309,6 +313,8 @@ def test_a_node_that_ended_is_noted_as_the_failure_or_as_lost(tmp_path):
         told = ended.failure or ended.lost[0][1]
         assert told == f"{role} was killed by signal 9"
         assert bool(ended.lost) == (role == "recorder")
+    # failed before: who was killed names no files to be kept
+    assert (folder / "bag" / NAMED).read_text().split() == ["bag_10.mcap", "bag_11.mcap"]
 
 
 def test_what_a_guard_said_long_ago_is_no_health(tmp_path):

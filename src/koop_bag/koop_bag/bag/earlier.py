@@ -30,6 +30,14 @@ def lock(bag: Path) -> int | None:
     return None
 
 
+def name_newest(bag: Path) -> None:
+    """Name the two newest files of a ring whose recorder was killed, as of an alarm."""
+    with suppress(BagError, OSError):
+        names = [file.name for file in find_files(bag)[-2:]]
+        with open(bag / NAMED, "a") as file:
+            file.write(" ".join([*names, ""]))
+
+
 class EarlierRuns:
     """Files that a ring may drop before its own: of rings that have ended, the oldest first.
 

@@ -14,6 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from koop_bag.bag.earlier import name_newest
 from koop_bag.recorder.config import RecorderConfig
 from koop_bringup.live.health import describe_loop, judge_health
 from koop_bringup.live.monitor import Monitor, Progress
@@ -281,6 +282,8 @@ class LiveNodes:
             lost = (*self._ended.lost, (time.time(), process.end()))
             self._note_end(replace(self._ended, lost=lost))
             self._note(f"{process.failure()}\nthe loop goes on without it")
+            if code < 0 and (self.folder / "summary").is_dir():
+                name_newest(self.folder / "bag")
             self._sound(node, process.end())
         return False
 
