@@ -300,7 +300,8 @@ def _check(
         allowed = zip(guard.each("theta_min"), guard.each("theta_max"), strict=True)
         for i, (low, high) in enumerate(allowed):
             least, most = esc.knob(i).limits
-            if least < low or high < most:
+            rounding = 1e-3 * (high - low)
+            if least < low - rounding or high + rounding < most:
                 raise ConfigError(
                     f"relay_esc seeks {guard.knob_names[i]} in [{least:g}, {most:g}], of which "
                     f"koop_guard allows [{low:g}, {high:g}]: narrow theta_min, theta_max and widest"
