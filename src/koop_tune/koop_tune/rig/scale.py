@@ -49,11 +49,12 @@ class Scale:
     def theta_at(self, u: float) -> float:
         """Return theta at one position; 0 where rounding leaves next to nothing of it.
 
-        >>> Scale(-1.0, 2.0).theta_at(1.0 / 3.0 + 1e-16)
-        0.0
+        >>> Scale(-1.0, 2.0).theta_at(1.0 / 3.0 + 1e-16), Scale(1e-10, 1.0).theta_at(0.0)
+        (0.0, 1e-10)
         """
         theta = float(self.theta(np.array(u)))
-        return 0.0 if abs(theta) < ROUNDED * self.high - ROUNDED * self.low else theta
+        is_next_to_zero = abs(theta) < ROUNDED * self.high - ROUNDED * self.low
+        return 0.0 if is_next_to_zero and self.low <= 0.0 <= self.high else theta
 
     def step_away(self, theta: float, share: float) -> float:
         """Return the value that is a share of the range from theta, towards the limit further off.
