@@ -94,8 +94,7 @@ def message_records(file: McapFile, start: int, channels: Collection[int]) -> It
     chunk, indexed = None, set[int]()
     for place in file.places():
         if place.opcode == Opcode.MESSAGE_INDEX:
-            head = file.content(place._replace(length=min(place.length, _CHANNEL.size)))
-            indexed |= {*file.unpack(_CHANNEL, head, place.start)}
+            indexed |= {*_read_head(file, place, _CHANNEL)}
             continue
         if chunk is not None and (not indexed or not indexed.isdisjoint(channels)):
             yield file.chunk_records(chunk)
@@ -103,10 +102,15 @@ def message_records(file: McapFile, start: int, channels: Collection[int]) -> It
         if place.opcode == Opcode.MESSAGE:
             yield RECORD_HEAD.pack(place.opcode, place.length) + file.content(place)
         elif place.opcode == Opcode.CHUNK:
-            head = file.content(place._replace(length=min(place.length, _CHUNK_TIMES.size)))
-            _, last = file.unpack(_CHUNK_TIMES, head, place.start)
+            _, last = _read_head(file, place, _CHUNK_TIMES)
             chunk = place if last >= start else None
         elif place.opcode == Opcode.DATA_END:
             return
     if chunk is not None:
         yield file.chunk_records(chunk)
+
+
+def _read_head(file: McapFile, place: Place, form: struct.Struct) -> tuple[int, ...]:
+    """Read no more of a record than its begin."""
+    head = file.content(place._replace(length=min(place.length, form.size)))
+    return file.unpack(form, head, place.start)
