@@ -30,12 +30,16 @@ def lock(bag: Path) -> int | None:
     return None
 
 
+def name_of_alarm(bag: Path, names: Iterable[str]) -> None:
+    """Name files of a ring as of an alarm."""
+    with suppress(OSError), open(bag / NAMED, "a") as file:
+        file.write(" ".join([*names, ""]))
+
+
 def name_newest(bag: Path) -> None:
     """Name the two newest files of a ring whose recorder was killed, as of an alarm."""
     with suppress(BagError, OSError):
-        names = [file.name for file in find_files(bag)[-2:]]
-        with open(bag / NAMED, "a") as file:
-            file.write(" ".join([*names, ""]))
+        name_of_alarm(bag, [file.name for file in find_files(bag)[-2:]])
 
 
 class EarlierRuns:

@@ -2,14 +2,14 @@
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from mcap.records import Channel, Schema
 
-from koop_bag.bag.earlier import ALARMS, NAMED, EarlierRuns, lock
+from koop_bag.bag.earlier import ALARMS, EarlierRuns, lock, name_of_alarm
 from koop_bag.bag.metadata import OfferedQos, TopicRecord, bag_map, dump
 from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError, writing
@@ -210,8 +210,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             record.of_alarm = True
         self._is_alarm_file = True
         names = [*(record.path for record in self._files[-2:]), self._name(self._opened)]
-        with suppress(OSError), open(self.folder / NAMED, "a") as file:
-            file.write(" ".join([*names, ""]))
+        name_of_alarm(self.folder, names)
 
     def make_room(self, free: int) -> None:
         """Drop the oldest files of a ring while its disk is nearly full.
